@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,25 +16,33 @@ from tools.gap_exam.__main__ import parser as exam_parser
 from tunefree_hil.cli.app import app
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+# A fenced block, an indented one, or a code span of our program: whichever comes first.
+PASTED = re.compile(
+    r"^```(?P<language>[^\n]*)\n(?P<fenced>.*?)^```|(?P<indented>(?:^    \S[^\n]*\n)+)"
+    r"|`(?P<span>(?:\.venv/bin/)?tunefree-hil [^`]+)`",
+    re.MULTILINE | re.DOTALL,
+)
 PROGRAM = re.compile(r"^(?:\.venv/bin/)?tunefree-hil\b")
 # Programs of other projects, and shell words: their options are not ours.
 FOREIGN = ("sudo", "export", "candump", "optuna-dashboard", "canplayer", "cansend", "python", "pytest", "git")
 
 
 def commands(text: str) -> Iterator[str]:
-    """The command lines of a page: fenced blocks without a language, indented blocks, and code spans of our program."""
-    for block in re.findall(r"^```\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
-        yield from _lines(block)
-    for block in re.findall(r"(?:^    \S.*\n)+", text, re.MULTILINE):
-        yield from _lines(block)
-    yield from re.findall(r"`((?:\.venv/bin/)?tunefree-hil [^`]+)`", text)
+    """The commands of a page in its order: every line of a fenced block without a language and of an indented block,
+    and code spans of our program. What is no command (a diagram) is fenced as `text`.
+    """
+    for found in PASTED.finditer(text):
+        if found["span"]:
+            yield " ".join(found["span"].split())
+        elif not found["language"]:
+            yield from _lines(found["fenced"] or textwrap.dedent(found["indented"] or ""))
 
 
 def _lines(block: str) -> Iterator[str]:
-    joined = re.sub(r"\\\n\s*", "", block)
-    for line in joined.splitlines():
-        command = re.split(r"\s+#", line)[0].strip()
-        if re.match(r"(\.venv/bin/|tunefree-hil\b|tools/|make\b|sudo\b|candump\b|export\b|optuna)", command):
+    """Lines without their comments; one that ends in a backslash, or is followed by an indented one, goes on."""
+    for line in re.sub(r"\\?\n[ \t]+(?=\S)", " ", block).splitlines():
+        command = re.split(r"(?:^|\s+)#", line)[0].strip()
+        if command:
             yield command
 
 
@@ -61,7 +70,8 @@ OURS = [pytest.param(line, id=f"{page}: {line}") for page, line in everything() 
 def test_a_pasted_command_has_these_options(command: str) -> None:
     if "COMMAND" in command.split()[1:2]:
         return
-    parse(re.split(r" (?:&|;|\|) ", command.replace("[--", "--").replace("]", ""))[0])
+    command = re.sub(r"\bN\b", "2", command.replace("[--", "--").replace("]", ""))
+    parse(re.split(r" (?:&|;|\|) ", command)[0])
 
 
 @pytest.mark.parametrize(("page", "command"), [pair for pair in everything() if not PROGRAM.match(pair[1])])

@@ -135,7 +135,7 @@ def name_of(stem: str, kind: str) -> str:
 def _collected(plan: Plan) -> Steps:
     """The collection, driven as far as it is not there; what it covers. Raises InputError where that is too little."""
     from tunefree_hil.jobs.collect.collect import collect
-    from tunefree_hil.jobs.collect.plan import CollectOptions as Wish
+    from tunefree_hil.jobs.options.records import CollectOptions as Wish
 
     asked = plan.asked
     wish = Wish(

@@ -14,8 +14,8 @@ from tools.measures.parity import compared, differing, parameter_sets
 from tunefree_hil.base.errors import InputError, PeerGone
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch, Job
-from tunefree_hil.jobs.running.episode_results import read_episode
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.episode_results import DrivenEpisode, read_episode
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 
 
 @pytest.fixture(scope="module")
@@ -84,9 +84,9 @@ def test_the_compiled_batch_is_the_bus_bit_for_bit(path: Path, tmp_path: Path) -
     words, name = tmp_path / "nodes", f"batch-{os.getpid()}-{path.stem}"
     with Batch(bench) as batch:
         [driven] = batch.drive([Job(values, whole)], columns=True)
-    with BenchSession(path, words, session=name, bus="tfhub") as session:
+    with BenchSession(path, words, BenchLaunch(session=name, bus="tfhub")) as session:
         outcome = session.drive(whole, whole.noise_seed, values, tmp_path)
-    episode = read_episode(bench, whole, values, outcome, tmp_path)
+    episode = read_episode(bench, DrivenEpisode(whole, values, outcome, tmp_path))
     found = compared(episode.recording, episode.grade, driven)
     assert found["differing"] == 0, found
     assert found["values"] > 20_000

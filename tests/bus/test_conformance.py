@@ -16,8 +16,8 @@ import can
 import pytest
 
 from tests.bus.tfhub_help import PATIENCE_S, Backend, number_of, receive_all, start_kind
+from tools.measures._hub_process import HubProcess
 from tunefree_hil.bus.socketcan.kernel_link import kernel_has_can, link_state
-from tunefree_hil.bus.tfhub.start import HubProcess
 
 BURST = 20_000
 SO_RXQ_OVFL = 40  # asm-generic/socket.h

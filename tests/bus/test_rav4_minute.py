@@ -14,7 +14,7 @@ import pytest
 
 from tunefree_hil.base.records import CanFrame, Command, Report
 from tunefree_hil.bus.dbc.codec import Codec, Snapshot
-from tunefree_hil.bus.dbc.integrity import CounterCheck, Order
+from tunefree_hil.bus.dbc.integrity import Order, check_counter
 from tunefree_hil.config.load import load_vehicle
 
 LINE = re.compile(r"\((\d+\.\d+)\) (\w+) ([0-9A-F]+)#([0-9A-F]*)")
@@ -134,9 +134,10 @@ def test_commands_are_those_the_computer_sent(minute: list[Heard]) -> None:
 
 def test_the_rolling_counter_rolls(minute: list[Heard], codec: Codec) -> None:
     """In order but for four pairs of frames that the recording has under one time stamp, the later one first."""
-    check = CounterCheck(codec.by_name["STEERING_LKA"].counter_modulus)
+    modulus = codec.by_name["STEERING_LKA"].counter_modulus
     sent = [heard for heard in minute if heard.name == "STEERING_LKA"]
-    counted = [check.receive(heard.decoded["COUNTER"]) for heard in sent]
+    counters = [int(heard.decoded["COUNTER"]) for heard in sent]
+    counted = [check_counter(*pair, modulus) for pair in zip([None, *counters], counters, strict=False)]
     assert Counter(one.order for one in counted) == {Order.FIRST: 1, Order.OK: 5987, Order.WRONG: 12}
     back = [i for i, one in enumerate(counted) if one.lost == 62]
     assert len(back) == 4 and all(sent[i].time_s == sent[i - 1].time_s for i in back)

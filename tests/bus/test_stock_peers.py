@@ -18,9 +18,9 @@ import can
 import pytest
 
 from tests.bus.tfhub_help import PATIENCE_S, eventually, frame, number_of, start_kind
+from tools.measures._hub_process import HubProcess
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.tfhub.plugin import HubBus
-from tunefree_hil.bus.tfhub.start import HubProcess
 
 DBC = """VERSION ""
 NS_ :

@@ -27,11 +27,11 @@ from tests.bus.tfhub_help import (
     receive_all,
     start_kind,
 )
+from tools.measures._hub_process import HubProcess, start_hub
 from tunefree_hil.base.errors import BenchError, InputError, PeerGone
 from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.owner import Owner
 from tunefree_hil.bus.tfhub.plugin import HubBus, HubGone
-from tunefree_hil.bus.tfhub.start import HubProcess, start_hub
 
 KINDS = ["tfhub-unix", "tfhub-tcp"]
 ROWS = [*KINDS, pytest.param("socketcan", marks=pytest.mark.vcan)]
@@ -96,7 +96,7 @@ def test_a_stalled_observer_stalls_nobody(tfhub: Backend) -> None:
         got = 0
         while got < 1000:
             got += len(b.recv_frames(PATIENCE_S))
-    dropped = tfhub.hub.owner.stats().dropped()["stalled"]
+    dropped = next(peer.dropped for peer in tfhub.hub.owner.stats().peers if peer.name == "stalled")
     assert 0 < dropped < count
     numbers: list[int] = []
     while not numbers or numbers[-1] < count - 1:

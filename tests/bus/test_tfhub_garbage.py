@@ -34,7 +34,7 @@ def hub(tmp_path: Path) -> Iterator[ThreadHub]:
     [
         (b"\x00" * 40, "no records"),
         (b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", "no records"),
-        (records.pack_raw(1, b"x"), "as an unidentified peer"),
+        (records.pack_raw(records.Raw(1, b"x")), "as an unidentified peer"),
         (records.pack_control(records.BYE), "may not send"),
         (records.pack_control(records.HELLO, {}), "no role"),
         (records.pack_control(records.REQUEST, {"op": "stats"}), "may not send"),

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.bus.tfhub_help import PATIENCE_S, ThreadHub, eventually
-from tunefree_hil.base.errors import InputError, PeerGone
+from tunefree_hil.base.errors import BenchError, InputError, PeerGone
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.link import Links, PairLink
-from tunefree_hil.bus.open import BusChoice, open_link, open_links
+from tunefree_hil.bus.open import BusChoice, LinkRequest, open_link, open_links
 from tunefree_hil.bus.tfhub.pair import HubPair
 from tunefree_hil.bus.tfhub.plugin import HubBus
 from tunefree_hil.bus.tfhub.records import FRAME, KIND_AT, SECOND_FRAME, mark_second_channel, pack_frames, select_ids
@@ -39,7 +39,7 @@ def choice_of(hub: ThreadHub) -> BusChoice:
 
 
 def joined(hub: ThreadHub, stack: ExitStack, name: str) -> Links:
-    links = open_links(choice_of(hub), name=name, stamps=True)
+    links = open_links(choice_of(hub), LinkRequest(name=name, stamps=True))
     stack.callback(links.close)
     assert isinstance(links.vehicle, PairLink)
     return links
@@ -86,7 +86,9 @@ def test_fd_remote_and_error_frames_take_the_slow_path(hub, stack):
     fd = CanFrame(0x18FF0011, bytes(range(64)), extended=True, fd=True)
     bus.send_frames([fd, CanFrame(0x7, b"ab")])
     assert plain(read(node.vehicle, 2)) == [(fd.id, fd.data, True), (0x7, b"ab", False)]
-    assert node.vehicle.remote_frames == 1 and sum(node.vehicle.errors.values()) == 1
+    bus.send(can.Message(is_error_frame=True, arbitration_id=0x40))
+    with pytest.raises(BenchError, match="is bus-off"):
+        read(node.vehicle, 1)
     node.send_both([fd], [CanFrame(0x6E0, b"1")])
     assert plain(bus.recv_frames(PATIENCE_S)) == plain([fd])
 
@@ -114,7 +116,7 @@ def test_a_lost_member_is_named_and_a_name_is_taken_on_both_channels(hub, stack)
 
 def test_only_what_one_wants(hub, stack):
     node = joined(hub, stack, "node")
-    runner = open_link(choice_of(hub), "bench", name="runner", only=(0x6E2,))
+    runner = open_link(choice_of(hub), "bench", LinkRequest(name="runner", only=(0x6E2,)))
     stack.callback(runner.close)
     node.send_both([], [CanFrame(0x6E0, b"tick"), CanFrame(0x6E1, b"done")])
     node.send_both([], [CanFrame(0x6E2, b"stat"), CanFrame(0x6E1, b"done")])

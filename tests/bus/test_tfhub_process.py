@@ -14,12 +14,12 @@ from pathlib import Path
 import pytest
 
 from tests.bus.tfhub_help import PATIENCE_S, ROOT, child, eventually, frame
+from tools.measures._hub_members import measure_hub
+from tools.measures._hub_process import start_hub
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bus.tfhub import address
-from tunefree_hil.bus.tfhub.measure import measure_hub
 from tunefree_hil.bus.tfhub.owner import Owner
 from tunefree_hil.bus.tfhub.plugin import HubBus
-from tunefree_hil.bus.tfhub.start import start_hub
 
 pytestmark = pytest.mark.slow
 
@@ -102,7 +102,7 @@ def test_a_killed_hub_is_replaced(tmp_path: Path) -> None:
 
 OWN = """
 import sys, time
-from tunefree_hil.bus.tfhub.start import start_hub
+from tools.measures._hub_process import start_hub
 hub = start_hub(sys.argv[1])
 hub.owner.start_log({"vehicle": sys.argv[2]})
 print(hub.process.pid, flush=True)

@@ -13,6 +13,7 @@ from tests.bus.tfhub_help import frame, thread_hub
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.owner import Owner
+from tunefree_hil.bus.tfhub.server.hub import HubOptions
 from tunefree_hil.bus.tfhub.server.serve import serve
 from tunefree_hil.bus.tfhub.session import LONGEST_PATH, Session
 
@@ -102,6 +103,6 @@ def test_nobody_there(tmp_path: Path) -> None:
 
 def test_wrong_words_to_serve(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="transport"):
-        serve(str(tmp_path / "hub"), transport="udp")  # type: ignore[arg-type]
+        serve(str(tmp_path / "hub"), HubOptions(transport="udp"))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="channel's name"):
-        serve(str(tmp_path / "hub"), log_names={"vehicle": "can 0"})
+        serve(str(tmp_path / "hub"), HubOptions(log_names={"vehicle": "can 0"}))

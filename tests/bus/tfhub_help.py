@@ -16,12 +16,13 @@ from typing import Any
 
 import can
 
+from tools.measures._hub_process import HubProcess, start_hub
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.tfhub import address, records
 from tunefree_hil.bus.tfhub.owner import Owner
 from tunefree_hil.bus.tfhub.plugin import HubBus
+from tunefree_hil.bus.tfhub.server.hub import HubOptions
 from tunefree_hil.bus.tfhub.server.serve import serve
-from tunefree_hil.bus.tfhub.start import HubProcess, start_hub
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_S = 20.0  # a time-out that only a broken hub reaches
@@ -47,7 +48,7 @@ class ThreadHub:
 
     def _run(self, ready: threading.Event, options: dict[str, Any]) -> None:
         try:
-            self.why = serve(self.session, note=self.said.append, ready=lambda _: ready.set(), **options)
+            self.why = serve(self.session, HubOptions(**options), note=self.said.append, ready=lambda _: ready.set())
         except Exception as error:
             self._error = error
             ready.set()

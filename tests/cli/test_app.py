@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import json
 import os
 import signal
@@ -17,31 +19,33 @@ import pytest
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.entry import run
-from tunefree_hil.jobs.drive import DriveOptions
-from tunefree_hil.jobs.tune.options import TuneOptions, VerifyOptions
+from tunefree_hil.jobs.options.nodes import NodeLink
+from tunefree_hil.jobs.options.records import DriveOptions, ReplayOptions, TuneOptions, VerifyOptions
 
 Fake = Callable[..., list[tuple[tuple[Any, ...], dict[str, Any]]]]
 
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> Fake:
-    """Puts a job in the place of the real one; the list of the calls it gets."""
+    """Puts a job of the same signature in the place of the real one; the list of the calls it gets."""
 
     def plant(module: str, function: str) -> list[tuple[tuple[Any, ...], dict[str, Any]]]:
         calls: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
+        loaded = importlib.import_module(f"tunefree_hil.jobs.{module}")
+        signature = inspect.signature(getattr(loaded, function))
 
         def job(*arguments: Any, **options: Any) -> Iterator[Event]:
+            signature.bind(*arguments, **options)
             calls.append((arguments, options))
             yield Event("result", "", {"sentence": "fine"})
 
-        monkeypatch.setattr(f"tunefree_hil.jobs.{module}.{function}", job)
+        monkeypatch.setattr(loaded, function, job)
         return calls
 
     return plant
 
 
 BENCH = Path("b.toml")
-NODE = {"bus": "auto", "bench_bus": "", "session": "default", "realtime": False}
 
 
 @pytest.mark.parametrize(
@@ -101,12 +105,12 @@ NODE = {"bus": "auto", "bench_bus": "", "session": "default", "realtime": False}
             ),
             {},
         ),
-        ("tune --resume runs/x", "tune.tune", (TuneOptions(Path("runs/x/bench.toml"), resume=Path("runs/x")),), {}),
+        ("tune --resume runs/x", "tune.tune", (TuneOptions(resume=Path("runs/x")),), {}),
         ("verify runs/x --bus tfhub", "tune.verify", (VerifyOptions(Path("runs/x"), bus="tfhub"),), {}),
-        ("replay runs/x --episode 3 --verify", "replay", (Path("runs/x"),), {"episode": 3, "verify": True}),
+        ("replay runs/x --episode 3 --verify", "replay", (ReplayOptions(Path("runs/x"), 3, True),), {}),
         ("hub --clock real --owned", "hub", (), {"session": "default", "clock": "real", "owned": True}),
-        ("ecu b.toml --model m --realtime", "ecu", (BENCH,), {**NODE, "model": "m", "realtime": True}),
-        ("controller b.toml --session s", "controller", (BENCH,), {**NODE, "session": "s"}),
+        ("ecu b.toml --model m --realtime", "ecu", (BENCH, NodeLink(realtime=True)), {"model": "m", "scenario": None}),
+        ("controller b.toml --session s", "controller", (BENCH, NodeLink(session="s")), {}),
         ("doctor --vehicle dbc/x", "doctor", (), {"vehicle": Path("dbc/x"), "schema": None, "bench": None}),
         ("scenarios left_turn --vehicle mkz", "scenarios", (), {"vehicle": "mkz", "name": "left_turn"}),
     ],
@@ -120,13 +124,34 @@ def test_options_reach_the_job(
     assert options.items() <= calls[0][1].items()
 
 
-def test_log_commands(fake: Fake) -> None:
-    checks = fake("log.check", "check")
-    assert run(["log", "check", "a.log", "--vehicle", "mkz"]) == 0
-    shows = fake("log.show", "show")
-    assert run(["log", "show", "a.log", "--signal", "PO", "--signal", "speed_mps"]) == 0
-    assert checks == [((Path("a.log"), "mkz"), {})]
-    assert shows == [((Path("a.log"), None, ["PO", "speed_mps"]), {})]
+LOG = {"path": Path("a.log"), "vehicle": None}
+
+
+@pytest.mark.parametrize(
+    ("words", "module", "function", "options"),
+    [
+        ("check a.log --vehicle mkz", "check", "check", {**LOG, "vehicle": "mkz"}),
+        ("show a.log --signal PO --signal speed_mps", "show", "show", {**LOG, "signals": ["PO", "speed_mps"]}),
+        ("show a.log", "show", "show", {**LOG, "signals": ()}),
+        ("plot a.log PO --out a.png", "plot", "plot", {**LOG, "signals": ["PO"], "out": Path("a.png")}),
+        (
+            "convert a.log b.bag --channel can1 --format ros1",
+            "convert",
+            "convert",
+            {"source": Path("a.log"), "target": Path("b.bag"), "channels": ["can1"], "to": "ros1"},
+        ),
+        (
+            "import a.csv --map m.toml --out d",
+            "csv_import",
+            "import_csv",
+            {"path": Path("a.csv"), "mapping": Path("m.toml"), "out": Path("d")},
+        ),
+    ],
+)
+def test_log_commands(words: str, module: str, function: str, options: dict[str, Any], fake: Fake) -> None:
+    calls = fake(f"log.{module}", function)
+    assert run(["log", *words.split()]) == 0
+    assert calls == [((), options)]
 
 
 def test_without_a_command_the_four_jobs(capsys: pytest.CaptureFixture[str]) -> None:
@@ -199,7 +224,7 @@ def test_starting_imports_little() -> None:
 WAITING_JOB = """
 import sys, time, types
 from tunefree_hil.base.events import Event
-def replay(run, **options):
+def replay(options):
     try:
         yield Event("note", "ready", {"resume": "candump any"})
         time.sleep(60)
@@ -245,7 +270,7 @@ def test_ctrl_c_before_a_job_is_said_once(monkeypatch: pytest.MonkeyPatch, capsy
     def cut(*_: Any, **__: Any) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tunefree_hil.cli.commands.data.present", cut)
+    monkeypatch.setattr("tunefree_hil.cli.options.present", cut)
     assert run(["scenarios"]) == 130
     assert capsys.readouterr().err == "interrupted\n"
     monkeypatch.undo()

@@ -31,6 +31,9 @@ class FakeMessage(NamedTuple):
     channel: str = ""
     e2e: None = None
 
+    def fits(self, data: bytes) -> bool:
+        return len(data) >= len(self.fields)
+
 
 class FakeCodec:
     """As bus/dbc/codec.py is used here, for messages of one byte a field."""
@@ -45,9 +48,6 @@ class FakeCodec:
     def find(self, frame: CanFrame, channel: str = "") -> FakeMessage | None:
         message = self.by_id.get(frame.id)
         return None if message is None or (channel and message.channel not in ("", channel)) else message
-
-    def fits(self, message: FakeMessage, data: bytes) -> bool:
-        return len(data) >= len(message.fields)
 
     def decode(self, message: FakeMessage, data: bytes) -> dict[str, float]:
         self.decoded += 1

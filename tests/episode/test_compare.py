@@ -15,13 +15,12 @@ from tunefree_hil.episode.compare import compare_logs, first_divergence
 from tunefree_hil.episode.frame_hash import frame_hash, place_frames
 
 TICK_S = 0.01
-BRAKE = SimpleNamespace(key=0x60, name="BRAKE_CMD")
-REPORT = SimpleNamespace(key=0x61, name="BRAKE_REPORT")
+BRAKE = SimpleNamespace(key=0x60, name="BRAKE_CMD", fits=lambda data: len(data) >= 2)
+REPORT = SimpleNamespace(key=0x61, name="BRAKE_REPORT", fits=BRAKE.fits)
 # byte 0 is LEVEL, byte 1 COUNT; the third byte is in no signal
 CODEC: Any = SimpleNamespace(
     commands=[BRAKE],
     by_id={0x60: BRAKE, 0x61: REPORT},
-    fits=lambda message, data: len(data) >= 2,
     decode=lambda message, data: {"LEVEL": float(data[0]), "COUNT": float(data[1])},
 )
 BASE = [(k, can_id, (can_id, k, 0)) for k in range(4) for can_id in (0x60, 0x61)]

@@ -145,11 +145,11 @@ def test_importance_says_n_and_sign() -> None:
 @pytest.mark.slow
 def test_files(tmp_path: Path) -> None:
     written = [
-        profile.write_profile(tmp_path / "a.png", VALUES, "all metrics"),
-        profile.write_highlights(tmp_path / "b.png", VALUES, "highlights"),
-        heat.write_heat(tmp_path / "c.png", terms(3), "difference"),
-        slices.write_slices(tmp_path / "d.png", cuts(2), 0.19, 0.25, "slices"),
-        importance.write_importance(tmp_path / "e.png", FOUND),
+        style.save(profile.draw_profile(VALUES, "all metrics"), tmp_path / "a.png"),
+        style.save(profile.draw_highlights(VALUES, "highlights"), tmp_path / "b.png"),
+        style.save(heat.draw_heat(terms(3), "difference"), tmp_path / "c.png"),
+        style.save(slices.draw_slices(cuts(2), 0.19, 0.25, "slices"), tmp_path / "d.png"),
+        style.save(importance.draw_importance(FOUND), tmp_path / "e.png"),
     ]
     assert sorted(tmp_path.iterdir()) == written
     assert all(path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" for path in written)

@@ -12,6 +12,7 @@ import pytest
 
 from tunefree_hil.figures import bars, jitter, scenario, style
 from tunefree_hil.figures.tuning import history, scatter
+from tunefree_hil.grade.score import FINISHED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +58,7 @@ def points(dimensions: int, trials: int = 40) -> scatter.TrialPoints:
 
 DRAWN: dict[str, Callable[[], Figure]] = {
     "scenario": lambda: scenario.draw_scenario("side_pass", DRIVES),
-    "history": lambda: history.draw_history([0.48, 2.0, 10.0, 0.4, 0.3], LINES, random=[0.48, 0.6, 0.5, 0.45, 1.0]),
+    "history": lambda: history.draw_history([0.48, 2.0, 10.0, 0.4, 0.3], LINES),
     "one": lambda: scatter.draw_scatter(points(1)),
     "two": lambda: scatter.draw_scatter(points(2)),
     "eleven": lambda: scatter.draw_scatter(points(11)),
@@ -102,11 +103,11 @@ def test_the_same_data_give_the_same_bytes(name: str, tmp_path: Path) -> None:
 
 def test_files_are_png_of_the_size_that_was_asked(tmp_path: Path) -> None:
     written = [
-        scenario.write_scenario(tmp_path / "a.png", "side_pass", DRIVES),
-        history.write_history(tmp_path / "b.png", [0.5, 0.4], LINES, random=[0.5, 0.6]),
-        scatter.write_scatter(tmp_path / "c.png", points(2)),
-        jitter.write_jitter(tmp_path / "d.png", {"ecu": [1e-4]}, 2e-3),
-        bars.write_bars(tmp_path / "e.png", SCORES),
+        style.save(scenario.draw_scenario("side_pass", DRIVES), tmp_path / "a.png"),
+        style.save(history.draw_history([0.5, 0.4], LINES), tmp_path / "b.png"),
+        style.save(scatter.draw_scatter(points(2)), tmp_path / "c.png"),
+        style.save(jitter.draw_jitter({"ecu": [1e-4]}, 2e-3), tmp_path / "d.png"),
+        style.save(bars.draw_bars(SCORES), tmp_path / "e.png"),
     ]
     assert sorted(path.name for path in tmp_path.iterdir()) == [path.name for path in written]
     for path in written:
@@ -118,6 +119,11 @@ def test_files_are_png_of_the_size_that_was_asked(tmp_path: Path) -> None:
 def marks(axes: Axes, marker: str) -> list[tuple[float, float]]:
     found = [np.asarray(one.get_xydata()) for one in axes.get_lines() if one.get_marker() == marker]
     return [(float(x), float(y)) for one in found for x, y in one]
+
+
+def test_only_a_drive_that_did_not_come_to_its_end_ended_early() -> None:
+    ends = [scenario.DrivePicture("car", {}, outcome=outcome).early_end for outcome in ("", FINISHED, "left_lane")]
+    assert ends == ["", "", "left_lane"]
 
 
 def test_replans_and_early_ends_are_marked_on_every_panel() -> None:
@@ -160,7 +166,6 @@ def test_history_shows_the_best_so_far_against_the_best_baseline() -> None:
     assert title(figure) == "Best of 5 trials: 0.3, 38 % below the best baseline (manual, MRAC on)"
     steps = {line.get_label(): np.asarray(line.get_ydata()) for line in axes.get_lines()}
     assert list(steps["best so far"]) == [0.48, 0.48, 0.48, 0.4, 0.3]
-    assert list(steps["random search, best so far"]) == [0.48, 0.48, 0.48, 0.45, 0.45]
     assert marks(axes, "*") == [(5.0, 0.3)]
     assert all(steps[f"{name}: {style.number(score)}"][0] == score for name, score in LINES.items())
     worse = history.draw_history([0.6], {"manual": 0.5})

@@ -13,8 +13,10 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec
 from tunefree_hil.gap.measured.chain import build_measured_drive
+from tunefree_hil.gap.model.graph import load_catalogue
 from tunefree_hil.gap.pipeline import Diagnosis, diagnose
-from tunefree_hil.gap.selection.reasons import VerdictKind
+from tunefree_hil.gap.result import answer_entries
+from tunefree_hil.gap.selection.reasons import RejectionStage, VerdictKind
 
 pytestmark = [pytest.mark.slow, pytest.mark.compiled, pytest.mark.timeout(900)]  # two processes that compile first
 
@@ -39,9 +41,17 @@ def asked(seconds: float, **hidden: Any) -> Diagnosis:
             return end.value
 
 
+def unnamed_without_a_reason(found: Diagnosis) -> set[str]:
+    """Effects of the catalogue that gap.json neither names nor has a reason for."""
+    answer = answer_entries(found)
+    reasons = {entry["name"] for entry in answer["reasons"]}
+    return set(load_catalogue()) - set(found.verdict.names) - reasons
+
+
 def test_a_car_as_its_model_has_it_misses_nothing() -> None:
     found = asked(110.0)
     assert found.verdict.kind is VerdictKind.NONE_MISSING and not found.effects and found.link is None
+    assert not unnamed_without_a_reason(found)
 
 
 def test_a_steering_that_answers_later_is_named_with_its_value_and_link() -> None:
@@ -57,6 +67,8 @@ def test_a_steering_that_answers_later_is_named_with_its_value_and_link() -> Non
         and found.location is not None
         and found.location.residual.signal == "steer"
     )
+    assert not unnamed_without_a_reason(found)
+    assert {reason.stage for reason in found.rejected_candidates} >= {RejectionStage.SCAN, RejectionStage.FORWARD}
     assert found.candidates[0].name == "steer_dead_time" and found.excitation["steer_dead_time"].is_sufficient
 
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from tests.gap.made_answer import made_kept
 from tunefree_hil.gap.estimation.least_squares import Fit
 from tunefree_hil.gap.measured.blocks import cut_blocks
-from tunefree_hil.gap.measured.excitation import Excitation
+from tunefree_hil.gap.measured.excitation import Excitation, Shortage
 from tunefree_hil.gap.pipeline import Diagnosis
 from tunefree_hil.gap.result import KEYS, SCHEMA, SearchResult, as_json, from_json, make_search_result
-from tunefree_hil.gap.selection.reasons import Criterion, Reason, Verdict, VerdictKind, reason_entry
+from tunefree_hil.gap.selection.reasons import Criterion, Reason, RejectionStage, Verdict, VerdictKind, reason_entry
 from tunefree_hil.gap.workers.worker import FitSummary, OpenProblem
 
 FITTED = Fit("", (), np.zeros(0), (), {}, np.zeros((0, 0)), {}, {})
@@ -50,25 +50,32 @@ def nothing_missing(excitation: dict[str, Excitation]) -> Diagnosis:
 
 
 def test_nothing_found_where_nothing_could_have_been_seen_is_no_answer() -> None:
-    found = nothing_missing({"steer_lag": Excitation(0.1, False, ("3 s above 2 m/s, 20 are needed",))})
+    found = nothing_missing({"steer_lag": Excitation(0.1, False, (Shortage("moving_s", 3.0, 20.0),))})
     kept = make_search_result(found, "physics", 1.0)
     assert kept.verdict == "cannot_test" and "record a drive with more: 3 s above" in kept.answer["words"][0]
-    assert kept.answer["reasons"] == [{"name": "", "criterion": "nothing_visible"}]
+    unseen = {"name": "steer_lag", "criterion": "not_excited", "signal": "moving_s", "value": 3.0, "limit": 20.0}
+    visible, *others = kept.answer["reasons"]
+    assert visible == {"name": "", "criterion": "nothing_visible"} and others == [{**unseen, "stage": "untestable"}]
     seen = found._replace(excitation={"steer_lag": Excitation(2.0, True, ())})
     physics, hybrid = (make_search_result(seen, kind, 1.0) for kind in ("physics", "hybrid"))
     assert physics.verdict == "none_missing" and hybrid.answer["absorbed"] and not physics.answer["absorbed"]
     assert physics.answer["reasons"] == [{"name": "", "criterion": "nothing_broken"}]
 
 
+def unmoving(*names: str) -> tuple[Reason, ...]:
+    stage = RejectionStage.UNTESTABLE
+    return tuple(Reason(Criterion.UNMOVING, name, 0.001, 0.004, stage=stage) for name in names)
+
+
 def test_what_moves_nothing_that_is_compared_could_not_have_been_seen() -> None:
     excitation = {"steer_lag": Excitation(2.0, True, ()), "side_wind": Excitation(2.0, True, ())}
     found = nothing_missing(excitation)
-    single = make_search_result(found._replace(unmoving=("side_wind",)), "physics", 1.0)
+    single = make_search_result(found._replace(unmoving=unmoving("side_wind")), "physics", 1.0)
     assert single.verdict == "none_missing" and list(single.answer["untold"]) == ["side_wind"]
     assert "by 0.4% of that signal" in single.answer["untold"]["side_wind"]
     assert not single.answer["excitation"]["side_wind"]["enough"]
     assert single.answer["excitation"]["steer_lag"]["enough"]
-    none = make_search_result(found._replace(unmoving=tuple(excitation)), "physics", 1.0)
+    none = make_search_result(found._replace(unmoving=unmoving(*excitation)), "physics", 1.0)
     assert none.verdict == "cannot_test" and "no value" in none.answer["words"][0]
 
 

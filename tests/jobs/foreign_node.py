@@ -14,7 +14,7 @@ from typing import Any
 
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.link import BusLink
-from tunefree_hil.bus.open import open_link, resolve_bus
+from tunefree_hil.bus.open import LinkRequest, open_link, resolve_bus
 from tunefree_hil.bus.recording.frame_attribution import digest
 
 AT = 20
@@ -24,8 +24,8 @@ FAR_S = 60.0
 def main(mode: str) -> None:
     """Answer the bench channel until the hub is gone, or the mode says otherwise."""
     choice = resolve_bus("tfhub", os.environ["TUNEFREE_SESSION"])
-    vehicle = open_link(choice, "vehicle", name="controller")
-    bench = open_link(choice, "bench", name="controller")
+    vehicle = open_link(choice, "vehicle", LinkRequest(name="controller"))
+    bench = open_link(choice, "bench", LinkRequest(name="controller"))
     names = [] if mode == "nameless" else ["mine.gain"]
     _say(bench, *bc.hello_messages(bc.Role.CONTROLLER, "mine", names))
     left = -1

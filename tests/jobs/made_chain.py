@@ -13,8 +13,9 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.commission import commission as module
 from tunefree_hil.jobs.commission import plan as plans
-from tunefree_hil.jobs.commission.commission import NAMES, STAGES, commission
-from tunefree_hil.jobs.commission.plan import FOLDERS, CommissionOptions, CommissionPlan
+from tunefree_hil.jobs.commission.commission import STAGES, commission
+from tunefree_hil.jobs.commission.plan import FOLDERS, NAMES, CommissionPlan
+from tunefree_hil.jobs.options.records import CommissionOptions
 
 
 def judged(mean_m: float | None, n: int = 100, kind: str = "hybrid", ground: str = "level") -> dict[str, Any]:

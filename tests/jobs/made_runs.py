@@ -16,7 +16,12 @@ from tunefree_hil.config.dump import to_toml
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.jobs.identity import resolved_toml
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.episode_results import EpisodeResult, evaluation_from_episodes, read_episode
+from tunefree_hil.jobs.running.episode_results import (
+    DrivenEpisode,
+    EpisodeResult,
+    evaluation_from_episodes,
+    read_episode,
+)
 from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
 from tunefree_hil.nodes.runner import Outcome
 from tunefree_hil.tune.space import resolve_space
@@ -88,7 +93,7 @@ def drive_into(
         np.savez(folder / "timing.npz", controller_control_time_s=np.full(drive.ticks, 0.001))
         code = next((one for one in ErrorCode if one.name.lower() == drive.error), ErrorCode.NONE)
         outcome = Outcome(drive.ticks, int(code) if drive.error else 0, {}, 0.0)
-        episodes[scenario.name] = read_episode(bench, scenario, values, outcome, folder)
+        episodes[scenario.name] = read_episode(bench, DrivenEpisode(scenario, values, outcome, folder))
     return evaluation_from_episodes(episodes)
 
 

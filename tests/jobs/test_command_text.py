@@ -14,18 +14,18 @@ from hypothesis import strategies as st
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.entry import run
 from tunefree_hil.jobs.collect import collect
-from tunefree_hil.jobs.collect.plan import CollectOptions as Collect
 from tunefree_hil.jobs.command_text import option_arguments, shell_command
 from tunefree_hil.jobs.commission import plan
-from tunefree_hil.jobs.commission.plan import CommissionOptions as Commission
 from tunefree_hil.jobs.gap import report_text as gap_words
 from tunefree_hil.jobs.gap.options import GapDriveOptions
 from tunefree_hil.jobs.gap.options import GapOptions as Gap
 from tunefree_hil.jobs.learn import learn
 from tunefree_hil.jobs.learn.learn import KINDS
 from tunefree_hil.jobs.learn.options import LearnOptions as Learn
+from tunefree_hil.jobs.options.records import CollectOptions as Collect
+from tunefree_hil.jobs.options.records import CommissionOptions as Commission
+from tunefree_hil.jobs.options.records import TuneOptions as Tune
 from tunefree_hil.jobs.tune import options
-from tunefree_hil.jobs.tune.options import TuneOptions as Tune
 
 NAMES = st.text("ab /.'\"$*\\;&é", min_size=1, max_size=8).map(lambda text: f"x{text}")
 PATHS = NAMES.map(Path)

@@ -13,6 +13,7 @@ from tunefree_hil.base.records import CanFrame, Command
 from tunefree_hil.bench import load
 from tunefree_hil.bus.dbc.codec import Codec, Snapshot
 from tunefree_hil.jobs.ecu import ecu
+from tunefree_hil.jobs.options.nodes import NodeLink
 
 STEER_RAD = 0.4
 
@@ -35,8 +36,7 @@ def test_it_follows_commands_that_no_controller_of_ours_sends(tmp_path: Path) ->
     told: list[str] = []
 
     def serve(session: str) -> None:
-        where = {"bus": "tfhub", "bench_bus": "", "session": session}
-        for event in ecu(tmp_path / "b.toml", model=None, realtime=False, scenario="tiny", **where):
+        for event in ecu(tmp_path / "b.toml", NodeLink("tfhub", session=session), scenario="tiny"):
             told.append(event.data.get("sentence") or event.message)
 
     with thread_hub(tmp_path) as hub, hub.member("player") as player:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tunefree_hil.grade.score import FINISHED
-from tunefree_hil.jobs.report_text import comparison_text, early_end
+from tunefree_hil.jobs.report_text import comparison_text
 
 SCORES = (0.4, 0.2)
 
@@ -14,10 +13,6 @@ def drives(score: float, replans: int = 0, outcome: str = "finished") -> dict[st
     """One road of a candidate."""
     metrics = {"lateral_err_peak": score}
     return {"bend": {"score": score, "replans": replans, "outcome": outcome, "metrics": metrics}}
-
-
-def test_only_a_drive_that_did_not_come_to_its_end_ended_early() -> None:
-    assert early_end(FINISHED) == "" and early_end("left_lane") == "left_lane"
 
 
 def test_a_better_set_is_told_in_score_peak_and_roads() -> None:

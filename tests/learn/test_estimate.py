@@ -62,3 +62,10 @@ def test_a_card_holds_plain_numbers() -> None:
         {"rate_limit": make_unidentified_estimate(math.inf, "not reached", low=np.float64(2.0).item(), high=math.inf)}
     )
     assert data["rate_limit"]["value"] is None and data["rate_limit"]["low"] == 2.0
+
+
+@pytest.mark.parametrize("is_needed", [True, False])
+def test_a_card_has_the_same_keys_whether_a_number_is_needed_or_not(is_needed: bool) -> None:
+    data = data_from_estimates({"drag": Estimate(1.0, 0.5, 1.5, False, "never shown", is_needed)})
+    assert data == {"drag": {"value": 1.0, "low": 0.5, "high": 1.5, "known": False, "why": "never shown"}}
+    assert list(data["drag"]) == ["value", "low", "high", "known", "why"]

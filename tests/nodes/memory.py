@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -35,8 +34,6 @@ class FakeLink:
 
     def __init__(self, clock: FakeTime | None = None) -> None:
         self.name = "fake"
-        self.errors: Counter[str] = Counter()
-        self.remote_frames = 0
         self.refused: Sequence[CanFrame] = ()
         self.clock = clock or FakeTime()
         self.waiting: list[CanFrame] = []
@@ -108,8 +105,6 @@ class MemoryLink:
     def __init__(self, bus: MemoryBus, name: str) -> None:
         self.bus = bus
         self.name = name
-        self.errors: Counter[str] = Counter()
-        self.remote_frames = 0
         self.inbox: list[CanFrame] = []
 
     def send(self, frames: Sequence[CanFrame]) -> None:

@@ -18,6 +18,7 @@ from tunefree_hil.base.records import GEAR_DRIVE, CanFrame, Command
 from tunefree_hil.bench import needed_messages
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.link import separate_links
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.control.cascade import ControllerInput, Decision
 from tunefree_hil.nodes.controller import Assignment, ControllerPart
@@ -244,9 +245,9 @@ def test_lockstep_answers_each_tick_and_ends_when_told(codec: Codec) -> None:
     seat = Seat(codec)
     vehicle, bench = FakeLink(), FakeLink()
     ids = (frozenset(m.key for m in codec.telemetry), frozenset(m.key for m in codec.commands))
-    exchange = Exchange(vehicle, bench, ids, 0.01)
+    exchange = Exchange(separate_links(vehicle, bench), ids, 0.01)
     other = FakeLink()
-    ecu = Exchange(other, other, ids, 0.01)
+    ecu = Exchange(separate_links(other, other), ids, 0.01)
     for k in range(3):
         ecu.announce(k, 0, seat.all_frames(), bc.Tick(k))
     for one in other.frames():
@@ -267,7 +268,7 @@ def test_in_real_time_the_next_episode_may_follow_the_end_in_one_batch(codec: Co
     """A runner that only joined does not wait between drives: what follows ECU FINISHED is the next episode's."""
     seat = Seat(codec)
     bench = FakeLink()
-    exchange = Exchange(FakeLink(), bench, (frozenset(), frozenset()), 0.01)
+    exchange = Exchange(separate_links(FakeLink(), bench), (frozenset(), frozenset()), 0.01)
     finished = bc.Status(bc.Role.ECU, bc.State.FINISHED, 0, 0)
     next_one = [bc.Episode(b"ghijkl", 2), bc.Param(0, 1, 0.5)]
     bench.say(bc.Tick(0), finished, *next_one)

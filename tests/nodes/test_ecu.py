@@ -15,6 +15,7 @@ from tunefree_hil.base.records import GEAR_DRIVE, GEAR_NONE, CanFrame, Command
 from tunefree_hil.bench import VehicleFor, load
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.link import separate_links
 from tunefree_hil.nodes.command_decoder import CommandDecoder
 from tunefree_hil.nodes.ecu import EcuPart
 from tunefree_hil.nodes.exchange import Exchange
@@ -36,7 +37,7 @@ class Car:
         self.part = EcuPart(self.codec, VehicleFor(self.bench, "mkz_nominal"), CycleTimes(), self.said.append)
         ids = (frozenset(m.key for m in self.codec.telemetry), frozenset(m.key for m in self.codec.commands))
         self.link = FakeLink()
-        self.exchange = Exchange(FakeLink(), self.link, ids, 0.01)
+        self.exchange = Exchange(separate_links(FakeLink(), self.link), ids, 0.01)
         self.k = 0
         self.load()
 
@@ -220,7 +221,7 @@ def test_the_same_commands_give_the_same_frames(car: Car) -> None:
 def answers(car: Car, ticks: int, said: Any = None) -> tuple[list[list[CanFrame]], list[list[CanFrame]]]:
     """(vehicle batches, bench batches) of a controller that answers `ticks` ticks; `said` before its last DONE."""
     other = FakeLink()
-    exchange = Exchange(FakeLink(), other, (frozenset(), frozenset()), 0.01)
+    exchange = Exchange(separate_links(FakeLink(), other), (frozenset(), frozenset()), 0.01)
     vehicle = exchange.vehicle
     assert isinstance(vehicle, FakeLink)
     batches = []
@@ -238,7 +239,9 @@ def run_lockstep(car: Car, ticks: int, said: Any = None, last: Any = None) -> Fa
     if last is not None:
         bench.later.append([bc.encode(last)])
     car.load()
-    car.part.lockstep(Exchange(vehicle, bench, car.exchange.ids_of_phase, 0.01), lambda message: message == last)
+    car.part.lockstep(
+        Exchange(separate_links(vehicle, bench), car.exchange.ids_of_phase, 0.01), lambda message: message == last
+    )
     return bench
 
 
@@ -266,7 +269,7 @@ def test_a_request_to_stop_ends_the_episode(car: Car) -> None:
 
 def test_in_real_time_what_follows_a_request_to_stop_is_kept(car: Car) -> None:
     bench = FakeLink()
-    exchange = Exchange(FakeLink(), bench, car.exchange.ids_of_phase, 0.01)
+    exchange = Exchange(separate_links(FakeLink(), bench), car.exchange.ids_of_phase, 0.01)
     end = bc.Status(bc.Role.RUNNER, bc.State.END, 0, 0)
     bench.say(STOP, end)
     car.part.realtime(exchange, StoppedClock(), 0.0, lambda message: message == STOP)

@@ -12,6 +12,7 @@ from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.dbc.message_map import EXTENDED_FLAG
+from tunefree_hil.bus.link import separate_links
 from tunefree_hil.nodes import exchange as module
 from tunefree_hil.nodes.exchange import HARD_LIMIT_S, Exchange, can_key, digest
 
@@ -34,7 +35,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> FakeTime:
 def exchange_of(clock: FakeTime | None = None) -> tuple[Exchange, FakeLink, FakeLink]:
     clock = clock or FakeTime()
     vehicle, bench = FakeLink(clock), FakeLink(clock)
-    return Exchange(vehicle, bench, (REPORTS, COMMANDS), 0.01), vehicle, bench
+    return Exchange(separate_links(vehicle, bench), (REPORTS, COMMANDS), 0.01), vehicle, bench
 
 
 def done_of(k: int, phase: int, frames: list[CanFrame]) -> bc.Done:
@@ -48,7 +49,6 @@ def test_an_extended_id_is_another_id() -> None:
     vehicle.arrive(CanFrame(0x100, b"x"), CanFrame(0x100, b"y", True), CanFrame(0x61, b"z", True))
     bench.say(done_of(0, 0, [CanFrame(0x100, b"y", True)]))
     assert exchange.await_phase(0, 0, never) == [CanFrame(0x100, b"y", True)]
-    assert exchange.foreign == {0x100: 1, 0x61 | EXTENDED_FLAG: 1}
 
 
 @pytest.mark.parametrize("order", list(permutations(range(4))))
@@ -114,12 +114,11 @@ def test_a_surplus_frame_is_refused() -> None:
     assert caught.value.code == "digest"
 
 
-def test_foreign_frames_are_counted_not_handed_over() -> None:
+def test_foreign_frames_are_not_handed_over() -> None:
     exchange, vehicle, bench = exchange_of()
     vehicle.arrive(CanFrame(0x7FF, b"?"), FRAMES[0], CanFrame(0x7FF, b"?"))
     bench.say(done_of(0, 0, FRAMES[:1]))
     assert exchange.await_phase(0, 0, never) == FRAMES[:1]
-    assert exchange.foreign == {0x7FF: 2}
 
 
 @pytest.mark.parametrize(("phase", "name"), [(0, "ecu"), (1, "controller")])
@@ -244,7 +243,7 @@ def test_the_digest_tells_changed_payloads_apart() -> None:
 def test_only_what_a_full_queue_took_is_announced() -> None:
     """Real time on SocketCAN: a frame that was dropped must not look lost, or a foreign one."""
     exchange, vehicle, bench = exchange_of()
-    exchange = Exchange(vehicle, bench, (REPORTS, COMMANDS), 0.01, drops=True)
+    exchange = Exchange(separate_links(vehicle, bench), (REPORTS, COMMANDS), 0.01, drops=True)
     vehicle.refused = (FRAMES[3],)
     exchange.announce(4, 0, list(FRAMES))
     assert bench.words() == [done_of(4, 0, FRAMES[:3])]

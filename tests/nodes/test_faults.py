@@ -170,7 +170,7 @@ def test_a_receiver_names_it(codec: Codec, kind: str, value: int, status: E2eSta
     receiver, seen = Receiver(codec.by_name["DRIVE"]), set()
     for k, frames in enumerate(send(codec, scripted(codec, kind, value))):
         seen |= {receiver.receive(k, frame.data) for frame in frames}
-        if receiver.look(k):
+        if receiver.end_tick(k):
             seen.add(receiver.status)
     assert status in seen
     assert receiver.status is E2eStatus.OK, "and it recovers"

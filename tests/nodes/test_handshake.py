@@ -14,19 +14,19 @@ states = st.builds(VehicleState, st.booleans(), st.booleans(), st.booleans(), st
 
 def test_engages_when_every_channel_answers():
     hand = Handshake(LIMITS)
-    assert hand.look(0, VehicleState()) is Stage.ENABLING and hand.enable
-    assert hand.look(1, READY) is Stage.ENABLING
-    assert hand.look(2, ON) is Stage.ENGAGED and hand.enable
+    assert hand.advance(0, VehicleState()) is Stage.ENABLING and hand.enable
+    assert hand.advance(1, READY) is Stage.ENABLING
+    assert hand.advance(2, ON) is Stage.ENGAGED and hand.enable
 
 
 def test_enabled_bits_not_yet_heard_are_no_engagement():
     hand = Handshake(LIMITS)
-    assert hand.look(0, VehicleState(known=False, enabled=True)) is Stage.ENABLING
+    assert hand.advance(0, VehicleState(known=False, enabled=True)) is Stage.ENABLING
 
 
 def test_gives_up_after_the_limit():
     hand = Handshake(LIMITS)
-    stages = [hand.look(k, READY) for k in range(41)]
+    stages = [hand.advance(k, READY) for k in range(41)]
     assert stages[39] is Stage.ENABLING
     assert stages[40] is Stage.NOT_ENABLED and not hand.enable
 
@@ -45,17 +45,17 @@ def test_a_latched_override_is_cleared_at_20_hz_before_enabling():
     latched = VehicleState(known=True, override=True)
     clears = []
     for k in range(12):
-        assert hand.look(k, latched) is Stage.CLEARING
+        assert hand.advance(k, latched) is Stage.CLEARING
         assert not hand.enable
         clears.append(hand.clear_now)
     assert [k for k, clear in enumerate(clears) if clear] == [0, 5, 10]
-    assert hand.look(12, READY) is Stage.ENABLING and hand.enable and not hand.clear_now
-    assert hand.look(13, ON) is Stage.ENGAGED
+    assert hand.advance(12, READY) is Stage.ENABLING and hand.enable and not hand.clear_now
+    assert hand.advance(13, ON) is Stage.ENGAGED
 
 
 def test_an_override_that_stays_latched_ends_it():
     hand = Handshake(LIMITS._replace(answer_ticks=10))
-    stages = [hand.look(k, VehicleState(known=True, override=True)) for k in range(12)]
+    stages = [hand.advance(k, VehicleState(known=True, override=True)) for k in range(12)]
     assert stages[-1] is Stage.NOT_ENABLED
 
 
@@ -69,8 +69,8 @@ def test_an_override_that_stays_latched_ends_it():
 )
 def test_engaged_is_lost_at_once(state, stage):
     hand = Handshake(LIMITS)
-    hand.look(0, ON)
-    assert hand.look(1, state) is stage
+    hand.advance(0, ON)
+    assert hand.advance(1, state) is stage
     assert not hand.enable
 
 
@@ -78,12 +78,12 @@ def test_a_channel_that_left_is_given_time_to_say_why():
     """The bit that says so is in a report of its own, up to 50 ms later; the drive ends by the right name."""
     for why, stage in ((READY, Stage.DROPPED), (READY._replace(override=True), Stage.OVERRIDE)):
         hand = Handshake(LIMITS)
-        hand.look(0, ON)
-        hand.look(1, ON)
-        assert all(hand.look(1 + k, READY) is Stage.ENGAGED for k in range(1, LIMITS.why_ticks))
-        assert hand.look(1 + LIMITS.why_ticks, why) is stage and not hand.enable
+        hand.advance(0, ON)
+        hand.advance(1, ON)
+        assert all(hand.advance(1 + k, READY) is Stage.ENGAGED for k in range(1, LIMITS.why_ticks))
+        assert hand.advance(1 + LIMITS.why_ticks, why) is stage and not hand.enable
     hand = Handshake(LIMITS)
-    assert [hand.look(k, ON if k % 4 == 0 else READY) for k in range(40)] == [Stage.ENGAGED] * 40, "it came back"
+    assert [hand.advance(k, ON if k % 4 == 0 else READY) for k in range(40)] == [Stage.ENGAGED] * 40, "it came back"
 
 
 @given(st.lists(states, min_size=1, max_size=60))
@@ -91,7 +91,7 @@ def test_an_ended_engagement_never_comes_back(sequence):
     hand = Handshake(LIMITS._replace(answer_ticks=8))
     ended = None
     for k, state in enumerate(sequence):
-        stage = hand.look(k, state)
+        stage = hand.advance(k, state)
         if ended is not None:
             assert stage is ended and not hand.enable and not hand.clear_now
         elif stage in ENDED:

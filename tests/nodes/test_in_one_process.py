@@ -17,14 +17,15 @@ from tests.nodes.memory import MemoryBus
 from tunefree_hil.base.clock import RealClock
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, ControllerFor, VehicleFor, load, needed_messages, parameters_of
-from tunefree_hil.bus.link import HubStats
+from tunefree_hil.bus.link import separate_links
+from tunefree_hil.bus.tfhub.owner import HubStats
 from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.episode.candump import LogFrame
 from tunefree_hil.episode.frame_hash import frame_hash
 from tunefree_hil.nodes.controller import ControllerPart
 from tunefree_hil.nodes.ecu import EcuPart
 from tunefree_hil.nodes.exchange import Exchange, can_key
-from tunefree_hil.nodes.node import Node, Part
+from tunefree_hil.nodes.node import Announcement, Node, Part
 from tunefree_hil.nodes.runner import Outcome, Runner
 from tunefree_hil.nodes.timing import CycleTimes
 
@@ -48,11 +49,11 @@ class InOneProcess:
     def _node(self, name: str, part: Part) -> threading.Thread:
         codec = self.bench.codec
         ids = (frozenset(m.key for m in codec.telemetry), frozenset(m.key for m in codec.commands))
-        exchange = Exchange(self.vehicle.link(name), self.channel.link(name), ids, self.bench.dt_s)
+        exchange = Exchange(separate_links(self.vehicle.link(name), self.channel.link(name)), ids, self.bench.dt_s)
 
         def serve() -> None:
             try:
-                Node(part, exchange, name, RealClock()).serve()
+                Node(part, exchange, Announcement(name), RealClock()).serve()
             except Exception as error:
                 self.errors[name] = error
 
@@ -67,7 +68,7 @@ class InOneProcess:
         return {"vehicle": len(self.vehicle.log)}
 
     def stats(self) -> HubStats:
-        return HubStats("memory", "sender", {"vehicle": len(self.channel.log)}, (), (), (), ())
+        return HubStats({"vehicle": len(self.channel.log)})
 
     def drive(self, scenario: bytes, seed: int, values: Mapping[str, float]) -> tuple[Outcome, str]:
         """(how it ended, frame hash)."""

@@ -11,13 +11,15 @@ from tests.nodes.memory import FakeLink
 from tunefree_hil.base.clock import Clock, RealClock
 from tunefree_hil.base.errors import InputError, PeerGone
 from tunefree_hil.bus import bench_channel as bc
+from tunefree_hil.bus.link import separate_links
 from tunefree_hil.nodes.exchange import Exchange
-from tunefree_hil.nodes.node import Node
+from tunefree_hil.nodes.node import Announcement, Node
 
 RUNNER = bc.Role.RUNNER
 END = bc.Status(RUNNER, bc.State.END, 0, 0)
 RUN = bc.Status(RUNNER, bc.State.RUN, 0, 200)
 EPISODE = bc.Episode(b"abcdef", 9)
+NAMED = Announcement("name", ["own.gain"])
 
 
 class NotedPart:
@@ -26,7 +28,6 @@ class NotedPart:
     role = bc.Role.CONTROLLER
 
     def __init__(self, trouble: Exception | None = None) -> None:
-        self.names = ["own.gain"]
         self.trouble = trouble
         self.calls: list[Any] = []
 
@@ -46,8 +47,8 @@ def serve(part: NotedPart, *messages: Any, realtime: bool = False, stamp_s: floa
     """The bench messages that a node sends when it hears these; END follows."""
     bench = FakeLink()
     bench.say(*messages, END, time_s=stamp_s)
-    exchange = Exchange(FakeLink(), bench, (frozenset(), frozenset()), 0.01)
-    Node(part, exchange, "name", RealClock(), realtime).serve()
+    exchange = Exchange(separate_links(FakeLink(), bench), (frozenset(), frozenset()), 0.01)
+    Node(part, exchange, NAMED, RealClock(), realtime).serve()
     return bench.words()
 
 
@@ -100,7 +101,7 @@ def test_an_episode_that_cannot_be_loaded_is_said_and_raised(code: str, said: bc
     part = NotedPart(InputError("no scenario file has it", code=code))
     bench = FakeLink()
     bench.say(EPISODE, bc.Param(0, 1, 0.25))
-    node = Node(part, Exchange(FakeLink(), bench, (frozenset(), frozenset()), 0.01), "name", RealClock())
+    node = Node(part, Exchange(separate_links(FakeLink(), bench), (frozenset(), frozenset()), 0.01), NAMED, RealClock())
     with pytest.raises(InputError):
         node.serve()
     words = bench.words()[len(HELLO) :]
@@ -111,7 +112,9 @@ def test_an_episode_that_cannot_be_loaded_is_said_and_raised(code: str, said: bc
 def test_a_bus_that_is_gone_is_the_error_whatever_cannot_be_said_then() -> None:
     bench = FakeLink()
     bench.trouble = PeerGone("hub")
-    node = Node(NotedPart(), Exchange(FakeLink(), bench, (frozenset(), frozenset()), 0.01), "name", RealClock())
+    node = Node(
+        NotedPart(), Exchange(separate_links(FakeLink(), bench), (frozenset(), frozenset()), 0.01), NAMED, RealClock()
+    )
     with pytest.raises(PeerGone, match="hub is gone"):
         node.serve()
 

@@ -11,7 +11,7 @@ import pytest
 from tests.nodes.memory import FakeLink, FakeTime
 from tunefree_hil.base.errors import BenchError, InputError, NoAnswer, PeerGone
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.link import HubStats
+from tunefree_hil.bus.tfhub.owner import HubStats
 from tunefree_hil.grade.score import GRADED_ENDS
 from tunefree_hil.nodes import runner as module
 from tunefree_hil.nodes.runner import LEAD_MS, SILENT_LIMIT_S, Outcome, Runner
@@ -29,7 +29,7 @@ class FakeOwner:
 
     def stats(self) -> HubStats:
         self.frames += self.more
-        return HubStats("s", "sender", {"vehicle": self.frames, "bench": 1}, (), (), (), ())
+        return HubStats({"vehicle": self.frames, "bench": 1})
 
     def start_log(self, paths: Any) -> None:
         self.calls.append(f"start {sorted(paths)}")

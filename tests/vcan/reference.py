@@ -23,7 +23,7 @@ from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.running.episode_results import EpisodeResult
 from tunefree_hil.jobs.running.foreign import controller_program, with_controller_command
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 from tunefree_hil.jobs.running.trial_driver import TrialDriver
 from tunefree_hil.tune.study import read_study
 
@@ -106,7 +106,9 @@ def reference_of(folder: Path) -> Reference:
 def _driven(folder: Path, bench: Bench, names: Any, command: Any = None) -> dict[str, Driven]:
     run = RunFolder(folder, {})
     words = {"controller_command": command} if command else {}
-    with BenchSession(HERE / "bench.toml", run.node_output(), session=new_session(), bus="tfhub", **words) as session:
+    with BenchSession(
+        HERE / "bench.toml", run.node_output(), BenchLaunch(session=new_session(), bus="tfhub", **words)
+    ) as session:
         track = TrialDriver(session, bench, run)
         try:
             episodes = track.drive_scenarios(parameters_of(bench), [bench.scenarios[name] for name in names], 0)

@@ -21,7 +21,7 @@ from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.episode.candump import LogFrame, read_candump
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.running.episode_results import EpisodeResult
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 from tunefree_hil.jobs.running.trial_driver import TrialDriver
 
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(3000)]
@@ -53,7 +53,7 @@ class Driven(NamedTuple):
 def drive(stack: ExitStack, bus: str, folder: Path) -> Driven:
     """Start a bench and drive every scenario over it."""
     run = RunFolder(folder, {})
-    session = BenchSession(HERE / "bench.toml", run.node_output(), session=f"vcan-{folder.name}", bus=bus)
+    session = BenchSession(HERE / "bench.toml", run.node_output(), BenchLaunch(session=f"vcan-{folder.name}", bus=bus))
     track = TrialDriver(stack.enter_context(session), BENCH, run)
     stack.callback(track.close)
     scenarios = [BENCH.scenarios[name] for name in FAMILIES]

@@ -16,7 +16,7 @@ from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.running.episode_results import EpisodeResult
 from tunefree_hil.jobs.running.foreign import controller_program, with_controller_command
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 from tunefree_hil.jobs.running.trial_driver import TrialDriver
 
 pytestmark = [
@@ -53,10 +53,12 @@ def driven(controller: Path, links: Links, _patient_and_lean: None, tmp_path_fac
     with BenchSession(
         HERE / "bench.toml",
         run.node_output(),
-        session="vcan-foreign",
-        bus=f"socketcan:{links.vehicle}",
-        bench_bus=f"socketcan:{links.bench}",
-        controller_command=controller_program(bench),
+        BenchLaunch(
+            session="vcan-foreign",
+            bus=f"socketcan:{links.vehicle}",
+            bench_bus=f"socketcan:{links.bench}",
+            controller_command=controller_program(bench),
+        ),
     ) as session:
         track = TrialDriver(session, bench, run)
         try:

@@ -16,7 +16,7 @@ from tools.measures.faults import one_of_each_vehicle
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bench import load
-from tunefree_hil.bus.open import open_link, resolve_bus
+from tunefree_hil.bus.open import LinkRequest, open_link, resolve_bus
 from tunefree_hil.bus.socketcan.kernel_link import Claim, link_state
 from tunefree_hil.bus.socketcan.link import SocketCanLink
 from tunefree_hil.jobs.machine import NOTE, OK, check_bus, check_can_links
@@ -27,7 +27,7 @@ BURST = 5000
 
 
 def opened(link: str) -> SocketCanLink:
-    found = open_link(f"socketcan:{link}", name="a test", fd=True)
+    found = open_link(f"socketcan:{link}", "vehicle", LinkRequest(name="a test", fd=True))
     assert isinstance(found, SocketCanLink)
     return found
 

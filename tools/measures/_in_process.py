@@ -121,7 +121,7 @@ class _Between:
             interrupt(word)
         return self._in_order(reply)
 
-    def say(self, *messages: Any, k: int = 0) -> None:
+    def send_messages(self, *messages: Any, k: int = 0) -> None:
         self.words += messages
         for message in messages:
             if isinstance(message, bc.Status):

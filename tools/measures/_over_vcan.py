@@ -20,13 +20,13 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from tools.measures._hub_process import start_hub
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bus.link import BusLink
-from tunefree_hil.bus.open import open_link
-from tunefree_hil.bus.tfhub.start import start_hub
+from tunefree_hil.bus.open import LinkRequest, open_link
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.session import SLOW_VARIABLE, BenchSession
+from tunefree_hil.jobs.running.session import SLOW_VARIABLE, BenchLaunch, BenchSession
 from tunefree_hil.jobs.running.trial_driver import TrialDriver
 
 ASK_ID, STOP_ID, READY_ID = 0x100, 0x7FF, 0x7FE
@@ -81,7 +81,7 @@ def _track(bench: Bench, bus: str, name: str) -> Iterator[TrialDriver]:
     with tempfile.TemporaryDirectory() as folder:
         run = RunFolder(Path(folder), {})
         session = f"measure-{os.getpid()}-{name}"
-        with BenchSession(Path(bench.file), run.node_output(), session=session, bus=bus) as opened:
+        with BenchSession(Path(bench.file), run.node_output(), BenchLaunch(session=session, bus=bus)) as opened:
             track = TrialDriver(opened, bench, run)
             try:
                 yield track
@@ -118,7 +118,7 @@ def rate_of(bus: BusLink, rounds: int) -> float:
 @contextmanager
 def _asker(address: str) -> Iterator[BusLink]:
     """A link whose frames come back from another process."""
-    bus = open_link(address, name="asker", only=(READY_ID, ASK_ID))
+    bus = open_link(address, "vehicle", LinkRequest(name="asker", only=(READY_ID, ASK_ID)))
     with subprocess.Popen([sys.executable, "-m", "tools.measures._over_vcan", "--echo", address]) as other:
         try:
             _answer(bus, "the echo does not come up")
@@ -138,7 +138,7 @@ def _answer(bus: BusLink, missing: str) -> None:
 
 def echo(address: str) -> None:
     """Send back each frame until STOP_ID comes or nothing does."""
-    bus = open_link(address, name="echo", only=(ASK_ID, STOP_ID))
+    bus = open_link(address, "vehicle", LinkRequest(name="echo", only=(ASK_ID, STOP_ID)))
     bus.send([CanFrame(READY_ID, b"")])
     while frames := bus.receive(PATIENCE_S):
         if any(frame.id == STOP_ID for frame in frames):

@@ -19,7 +19,7 @@ from tunefree_hil.grade.score import FINISHED
 from tunefree_hil.jobs.identity import compute_identity
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.running.episode_results import evaluation_from_episodes
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 from tunefree_hil.jobs.running.trial_driver import TrialDriver
 from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, VectorCandidate
 from tunefree_hil.tune.trial import Evaluation
@@ -91,9 +91,11 @@ class Rig:
         session = BenchSession(
             Path(self.bench.file),
             run.node_output(),
-            session=f"measure-{os.getpid()}-{next(_numbers)}",
-            model=self.model,
-            jitted_ecu=is_heavy(self.bench, self.model),
+            BenchLaunch(
+                session=f"measure-{os.getpid()}-{next(_numbers)}",
+                model=self.model,
+                jitted_ecu=is_heavy(self.bench, self.model),
+            ),
         )
         self._track = TrialDriver(self._open.enter_context(session), self.bench, run)
         self._open.callback(self._track.close)

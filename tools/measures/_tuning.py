@@ -255,13 +255,14 @@ def _say(words: str) -> None:
 
 def write_figure(rows: Mapping[str, Sequence[float]], plan: Plan, manual: str, figures: str, name: str) -> str:
     """Dots by row to `<figures>/<name>.png`; manual: the best baseline."""
-    from tunefree_hil.figures.dots import write_dots
+    from tools.measures.figures.dots import draw_dots
+    from tunefree_hil.figures.style import save
 
     path, model = Path(figures) / f"{name}.png", plan.loaded().spec.verify_model
     what = f"score on {len(plan.verify_scenarios)} unseen scenarios, {model} (lower is better)"
     searched = {label: rows[label] for label in ("tuned", "random search")}
     others = sorted(rows.keys() - searched.keys(), key=lambda label: rows[label][0])
-    return str(write_dots(path, searched | {label: rows[label] for label in others}, what, manual))
+    return str(save(draw_dots(searched | {label: rows[label] for label in others}, what, manual), path))
 
 
 __all__ = ["FIGURES", "FOLDER", "make_plan", "measure_tuning", "write_figure"]

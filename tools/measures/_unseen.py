@@ -12,7 +12,8 @@ import tomli_w
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.control.parameters import BY_NAME, box32
-from tunefree_hil.jobs.drive import DriveOptions, drive
+from tunefree_hil.jobs.drive import drive
+from tunefree_hil.jobs.options.records import DriveOptions
 
 GAINS = (1.0, 1.8, 0.6)  # factors on all tuned gains: drives that differ in more than their noise
 GRADES_RAD = (0.03, -0.03)

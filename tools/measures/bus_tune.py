@@ -21,8 +21,8 @@ from optuna.trial import TrialState
 from tools.measures._ledger import FOLDER, code_hash
 from tools.measures._summary import RESAMPLES, machine, rounded
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.jobs.options.records import TuneOptions
 from tunefree_hil.jobs.run_folder import RunFolder, open_run
-from tunefree_hil.jobs.tune.options import TuneOptions
 from tunefree_hil.jobs.tune.tune import tune
 from tunefree_hil.tune.sampling import ScoredPoint, suggest_point
 from tunefree_hil.tune.space import Space

@@ -14,7 +14,7 @@ from tools.measures._summary import machine, rounded
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_bench, load_model, load_vehicle
 from tunefree_hil.jobs.collect.collect import collect
-from tunefree_hil.jobs.collect.plan import CollectOptions
+from tunefree_hil.jobs.options.records import CollectOptions
 
 VALUE = "simulated minutes of driving until a collection over the bus has filled every cell, mkz_bywire"
 FIRST = "bench_configs/mkz_steer.toml"  # its vehicle is the value
@@ -56,7 +56,7 @@ def _collected(bench: Path, quota_s: float, area_m: float, seed: int, ledger: Le
     if known is not None:
         return known
     out = ledger.folder / f"{bench.stem}-{depends['files'][:8]}-{quota_s:g}-{area_m:g}-{seed}"
-    asked = CollectOptions(bench, None, None, "tfhub", "", "", False, out, quota_s, area_m, None, seed)
+    asked = CollectOptions(bench, bus="tfhub", out=out, quota_s=quota_s, area_m=area_m, seed=seed)
     started, wall = time.monotonic(), out / "wall.txt"
     try:
         last = _watched(collect(asked))

@@ -10,8 +10,9 @@ from tools.measures._summary import machine, rounded
 from tools.measures.collect import one_of_each
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_bench
-from tunefree_hil.jobs.commission.commission import NAMES, commission
-from tunefree_hil.jobs.commission.plan import CommissionOptions
+from tunefree_hil.jobs.commission.commission import commission
+from tunefree_hil.jobs.commission.plan import NAMES
+from tunefree_hil.jobs.options.records import CommissionOptions
 from tunefree_hil.jobs.run_folder import read_json
 
 VALUE = "wall minutes of all stages of `commission`, the slower vehicle"

@@ -20,9 +20,9 @@ from tools.measures._summary import rounded
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.jobs.running.episode_results import read_episode
+from tunefree_hil.jobs.running.episode_results import DrivenEpisode, read_episode
 from tunefree_hil.jobs.running.processes import Processes
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 
 VALUE = "distinct frame hashes of one drive: shuffled start order, members held up at random, busy CPUs (1 is right)"
 START_S = 30.0
@@ -71,7 +71,7 @@ def _run(bench: Bench, scenario: ScenarioSpec, rng: Random, burners: int) -> dic
                 outcome = session.drive(scenario, scenario.noise_seed, values, folder)
         finally:
             nodes.stop()
-        episode = read_episode(bench, scenario, values, outcome, folder)
+        episode = read_episode(bench, DrivenEpisode(scenario, values, outcome, folder))
     return {"order": order, "held_up": len(stops), "held_up_s": sum(stops), "wall_s": outcome.wall_s,
             "ticks": outcome.ticks, "frames": outcome.logged["vehicle"], "hash": episode.hash}  # fmt: skip
 
@@ -96,7 +96,9 @@ def _join(bench: Bench, folder: Path, name: str, nodes: Processes) -> Iterator[B
     """A session on nodes that somebody else has started, and may still be starting."""
     limit = time.monotonic() + START_S
     while True:
-        session = BenchSession(Path(bench.file), folder / "own", session=name, bus=f"tfhub:{name}", join=True)
+        session = BenchSession(
+            Path(bench.file), folder / "own", BenchLaunch(session=name, bus=f"tfhub:{name}", join=True)
+        )
         try:
             opened = session.__enter__()
             break

@@ -17,12 +17,14 @@ import numpy as np
 from tools.measures._ledger import FIGURES, FOLDER
 from tools.measures._summary import machine, rounded
 from tools.measures._unseen import ended, unseen_logs
+from tools.measures.figures.headings import HeadingRun, draw_headings
 from tools.measures.map import logs_in
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import ModelSpec
-from tunefree_hil.figures.learning.training import HeadingRun, write_free_run, write_headings
+from tunefree_hil.figures.learning.training import draw_free_run
+from tunefree_hil.figures.style import save
 from tunefree_hil.jobs.learn.calibrate import calibrate
 from tunefree_hil.jobs.learn.learn import learn
 from tunefree_hil.jobs.learn.options import CalibrateOptions, LearnOptions
@@ -87,8 +89,8 @@ def measure(
         "kinds": tables,
         "cards": {name: card_words(model) for name, model in models.items()},
         "figures": [
-            str(write_free_run(Path(figures) / "freerun.png", tables)),
-            str(write_headings(Path(figures) / "freerun_heading.png", heading)),
+            str(save(draw_free_run(tables), Path(figures) / "freerun.png")),
+            str(save(draw_headings(heading), Path(figures) / "freerun_heading.png")),
         ],
     }
     return {

@@ -19,7 +19,8 @@ import msgspec
 
 from tools.measures._ledger import FIGURES, FOLDER, ROOT
 from tools.measures._summary import machine, rounded, summary
-from tunefree_hil.figures.gap.demonstration import ParameterSetResult, write_demonstration
+from tools.measures.figures.demonstration import ParameterSetResult, draw_demonstration
+from tunefree_hil.figures.style import save
 from tunefree_hil.jobs.run_folder import read_json
 
 VALUE = "score on the vehicle after tuning on the repaired model, as a share of that on the old one (by search)"
@@ -59,7 +60,7 @@ def measure(
     first = verified[OLD][0]
     best = min((which for which in first["scores"] if which != "tuned"), key=lambda which: first["scores"][which])
     manual = _driven(first, best)
-    write_demonstration(Path(figures) / f"{NAME}.png", answer["signals"], tuned, manual, _sentence(effect, answer))
+    save(draw_demonstration(answer["signals"], tuned, manual, _sentence(effect, answer)), Path(figures) / f"{NAME}.png")
     detail = {
         "machine": before,
         "hidden": effect,

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from tools.measures._hub_members import measure_hub
 from tools.measures._summary import machine, rounded, summary
-from tunefree_hil.bus.tfhub.measure import measure_hub
 
 VALUE = "us for one frame there and one back between two processes over the hub (p50, median of runs)"
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from tools.measures._summary import machine, rounded, summary
 from tunefree_hil.bench import Bench, is_heavy, load, parameters_of
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 
 VALUE = "times real time in lockstep: nominal plant, hub, ECU and controller as processes, MRAC, noise, logs (median)"
 
@@ -46,9 +46,7 @@ def _factors(bench: Bench, model: str, names: list[str], runs: int) -> dict[str,
         BenchSession(
             Path(bench.file),
             Path(folder) / "nodes",
-            session=f"lockstep-{os.getpid()}",
-            model=model,
-            jitted_ecu=is_heavy(bench, model),
+            BenchLaunch(session=f"lockstep-{os.getpid()}", model=model, jitted_ecu=is_heavy(bench, model)),
         ) as session,
     ):
         for run in range(-1, runs):

@@ -23,11 +23,12 @@ from tunefree_hil.bench import Bench, calibration_path, follower_of, load, param
 from tunefree_hil.config.load import load_bench
 from tunefree_hil.control import calibration_map
 from tunefree_hil.episode.columns import columns_from_frames
-from tunefree_hil.figures.learning.map import write_map, write_map_data
+from tunefree_hil.figures.learning.map import draw_map, draw_map_data
+from tunefree_hil.figures.style import save
 from tunefree_hil.jobs.learn.map import build_report, make_picture
+from tunefree_hil.learn.compiled_process import exhaust
 from tunefree_hil.learn.drives.read import read_drives
 from tunefree_hil.learn.open_loop_map.build import (
-    exhaust,
     gather_samples,
     learn_map,
     make_map,
@@ -102,8 +103,8 @@ def measure(
         "support": card["support"],
         "tracking": tracking(loaded, target, scenarios.split(",")),
         "figures": [
-            str(write_map_data(Path(figures) / "map_data.png", picture)),
-            str(write_map(Path(figures) / "map.png", picture)),
+            str(save(draw_map_data(picture), Path(figures) / "map_data.png")),
+            str(save(draw_map(picture), Path(figures) / "map.png")),
         ],
     }
     value = compute_rms(joined[LEARNED])

@@ -16,10 +16,11 @@ from tools.measures._summary import machine, rounded, summary
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, load
+from tunefree_hil.jobs.options.records import TuneOptions
 from tunefree_hil.jobs.run_folder import open_run, read_json
 from tunefree_hil.jobs.tune.candidates import TUNED, compute_baseline_vectors, read_winner
 from tunefree_hil.jobs.tune.margins import MarginDrives, find_margins, margin_data, margin_table, margin_text
-from tunefree_hil.jobs.tune.options import BATCH, TuneOptions
+from tunefree_hil.jobs.tune.options import BATCH
 from tunefree_hil.jobs.tune.tune import tune
 
 VALUE = "winner's / best manual's delay margin, smallest over the verify scenarios (manual must not re-plan as it is)"
@@ -115,6 +116,7 @@ def _detail(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _draw(data: Mapping[str, Any], folder: Path) -> str:
-    from tunefree_hil.figures.tuning.margins import write_margins
+    from tunefree_hil.figures.style import save
+    from tunefree_hil.figures.tuning.margins import draw_margins
 
-    return str(write_margins(folder / "margins.png", data, TUNED))
+    return str(save(draw_margins(data, TUNED), folder / "margins.png"))

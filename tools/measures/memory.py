@@ -9,7 +9,7 @@ from typing import Any
 
 from tools.measures._summary import rounded, summary
 from tunefree_hil.bench import Bench, load, parameters_of
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 
 VALUE = "MB, peak resident size of the largest node, the compiled ECU among them (median of sessions)"
 LIMITS_MB = {"plain": 150.0, "compiled": 250.0}  # docs/reference/design.md
@@ -48,9 +48,7 @@ def _session_mb(bench: Bench, model: str, names: list[str], *, compiled: bool) -
         BenchSession(
             Path(bench.file),
             Path(folder) / "nodes",
-            session=f"memory-{os.getpid()}",
-            model=model,
-            jitted_ecu=compiled,
+            BenchLaunch(session=f"memory-{os.getpid()}", model=model, jitted_ecu=compiled),
         ) as session,
     ):
         for name in names:
@@ -58,14 +56,14 @@ def _session_mb(bench: Bench, model: str, names: list[str], *, compiled: bool) -
             episode.mkdir()
             scenario = bench.scenarios[name]
             session.drive(scenario, scenario.noise_seed, parameters_of(bench), episode)
-        return {"peak": session.processes.memory_mb(), "resident": _resident_mb(session)}
+        return {"peak": _sizes_mb(session, "VmHWM"), "resident": _sizes_mb(session, "VmRSS")}
 
 
-def _resident_mb(session: BenchSession) -> dict[str, float]:
-    """Node -> MB at this moment."""
+def _sizes_mb(session: BenchSession, field: str) -> dict[str, float]:
+    """Node -> MB; field: of /proc/PID/status, VmHWM for the peak, VmRSS for this moment."""
     sizes = {}
     for child in session.processes.children:
         status = Path(f"/proc/{child.process.pid}/status")
-        lines = [line for line in status.read_text().splitlines() if line.startswith("VmRSS")]
+        lines = [line for line in status.read_text().splitlines() if line.startswith(field)]
         sizes[child.name] = float(lines[0].split()[1]) / 1024.0
     return sizes

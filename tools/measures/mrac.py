@@ -229,7 +229,8 @@ def _words(cell: Mapping[str, Any]) -> str:
 
 
 def _figure(cells: list[dict[str, Any]], ratios: list[float], figures: str) -> str:
-    from tunefree_hil.figures.learning.cells import CellAxis, write_cells
+    from tools.measures.figures.cells import CellAxis, draw_cells
+    from tunefree_hil.figures.style import save
 
     panels = {}
     for label, title in ((FIXED, "reference model only (p = 0)"), (TUNED, "tuned T_ref and p")):
@@ -242,4 +243,4 @@ def _figure(cells: list[dict[str, Any]], ratios: list[float], figures: str) -> s
     title = f"Lateral peak of the serpentine, of that without MRAC: tuned is lower in {better} of {len(ratios)}"
     title += f" (median {float(np.median(ratios)):.2f})"
     sides = CellAxis("steer dead time (s)", DEAD_TIMES_S), CellAxis("steer lag (s)", LAGS_S)
-    return str(write_cells(Path(figures) / "mrac.png", panels, *sides, title))
+    return str(save(draw_cells(panels, *sides, title), Path(figures) / "mrac.png"))

@@ -25,7 +25,7 @@ from tunefree_hil.control.parameters import PARAMETERS, SETS, Parameter, round32
 from tunefree_hil.episode.recording import Recording
 from tunefree_hil.grade.score import ScenarioGrade
 from tunefree_hil.jobs.run_folder import RunFolder, delete_logs
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 from tunefree_hil.jobs.running.trial_driver import DriveJob, TrialDriver
 from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
 
@@ -187,7 +187,9 @@ def _start(part: Part, folder: Path, stack: ExitStack) -> tuple[TrialDriver, Bat
     for lane in range(min(2, len(os.sched_getaffinity(0)))):
         name = f"parity-{os.getpid()}-{Path(part.model).name}-{lane}"
         words = run.node_output() / str(lane)
-        one = BenchSession(Path(part.bench.file), words, session=name, model=part.model, bus="tfhub", jitted_ecu=heavy)
+        one = BenchSession(
+            Path(part.bench.file), words, BenchLaunch(session=name, model=part.model, bus="tfhub", jitted_ecu=heavy)
+        )
         sessions.append(stack.enter_context(one))
     track = TrialDriver(sessions, part.bench, run)
     stack.callback(track.close)

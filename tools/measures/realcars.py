@@ -21,11 +21,12 @@ from tools.imports import rav4_csv
 from tools.measures._ledger import FIGURES, FOLDER, ROOT
 from tools.measures._summary import rounded
 from tools.measures._unseen import ended
+from tools.measures.figures.velocity_free_run import VelocityRun, draw_runs
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_model, load_vehicle
 from tunefree_hil.config.schema import ModelSpec
-from tunefree_hil.figures.learning.velocity_free_run import VelocityRun, write_runs
+from tunefree_hil.figures.style import save
 from tunefree_hil.jobs.learn.calibrate import calibrate
 from tunefree_hil.jobs.learn.learn import learn
 from tunefree_hil.jobs.learn.options import CalibrateOptions, LearnOptions
@@ -96,7 +97,9 @@ def measure(
         "hybrid": "trained; what was held out also chose when to stop, so its rows flatter it"
         if with_hybrid
         else "left out",
-        "figures": [str(write_runs(Path(figures) / "realcars.png", shown(found), "Real cars: measured and free run"))],
+        "figures": [
+            str(save(draw_runs(shown(found), "Real cars: measured and free run"), Path(figures) / "realcars.png"))
+        ],
     }
     return {
         "value": float(errors.mean()), "unit": "m/s", "n": len(errors), "low": low, "high": high,

@@ -18,7 +18,7 @@ from tunefree_hil.bench import Bench, is_heavy, load, parameters_of
 from tunefree_hil.grade.score import ScenarioGrade
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.running.lateness import CRITERIA, judge_realtime
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 from tunefree_hil.jobs.running.trial_driver import ROLES, TrialDriver
 
 VALUE = "ms late, p99 over the ticks of the later node at 100 Hz, idle machine"
@@ -101,10 +101,7 @@ def _drive(bench: Bench, model: str, run: RunFolder, seconds: float) -> tuple[li
     with BenchSession(
         Path(bench.file),
         run.node_output(),
-        session=f"realtime-{os.getpid()}",
-        model=model,
-        realtime=True,
-        jitted_ecu=is_heavy(bench, model),
+        BenchLaunch(session=f"realtime-{os.getpid()}", model=model, realtime=True, jitted_ecu=is_heavy(bench, model)),
     ) as session:
         track = TrialDriver(session, bench, run)
         try:
@@ -136,7 +133,8 @@ def _interval_s(late_s: np.ndarray, block: int) -> tuple[float, float]:
 
 
 def _figure(late: dict[str, np.ndarray], figures: str) -> str:
-    from tunefree_hil.figures.jitter import write_jitter
+    from tunefree_hil.figures.jitter import draw_jitter
+    from tunefree_hil.figures.style import save
 
     rows = {role: [float(one) for one in values] for role, values in late.items()}
-    return str(write_jitter(Path(figures) / "realtime.png", rows, CRITERIA.late_s))
+    return str(save(draw_jitter(rows, CRITERIA.late_s), Path(figures) / "realtime.png"))

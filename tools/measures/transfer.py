@@ -23,12 +23,13 @@ from tools.measures._rig import Rig, failed
 from tools.measures._summary import RESAMPLES, machine, rounded
 from tools.measures._unseen import ended
 from tools.measures.collect import one_of_each
+from tools.measures.figures.transfer import TransferGrades, draw_transfer
 from tools.measures.freerun import learned, learned_in
 from tools.measures.map import logs_in
 from tools.measures.parity import parameter_sets
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch
-from tunefree_hil.figures.tuning.transfer import TransferGrades, write_transfer
+from tunefree_hil.figures.style import save
 from tunefree_hil.jobs.learn.map import map_logs
 from tunefree_hil.jobs.learn.options import MapOptions
 from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
@@ -92,7 +93,7 @@ def measure(
     }
     values = {name: [row["kinds"]["hybrid"]["finished"]["rho"] for row in some] for name, some in rows.items()}
     pictured = {Path(name).stem: _pictured(some) for name, some in rows.items()}
-    write_transfer(Path(figures) / f"{NAME}.png", pictured)
+    save(draw_transfer(pictured), Path(figures) / f"{NAME}.png")
     lower = min(values, key=lambda name: float(np.median(values[name])))
     for row in (row for some in rows.values() for row in some):
         del row["grades"]

@@ -22,7 +22,7 @@ from tunefree_hil.batch.commands import (
 )
 from tunefree_hil.bus.dbc.wire_block import WireParams, WireState, ins_heard, pass_on, report_heard
 from tunefree_hil.control.cascade import ControllerInput
-from tunefree_hil.nodes.handshake import CLEARING, NOT_ENABLED, Limits, Progress, look
+from tunefree_hil.nodes.handshake import CLEARING, NOT_ENABLED, Limits, Progress, advance
 from tunefree_hil.plant.actuation.bywire import ByWireStatus
 from tunefree_hil.plant.ecu import ReportedState, UnitInput
 from tunefree_hil.plant.types import Driver
@@ -179,7 +179,7 @@ def make_episode(control: Callable[..., Any], unit: Callable[..., Any], follow: 
                 send_nothing(p.command, link.command)
                 follower_state, tracking = follow(controller.follower, follower_state, (k, fix), dt_s)
             else:
-                progress = look(progress, k, vehicle_state(p.bits, link.bits), p.limits)
+                progress = advance(progress, k, vehicle_state(p.bits, link.bits), p.limits)
                 if progress.stage >= NOT_ENABLED or progress.stage == CLEARING:
                     code = float(p.stage_codes[progress.stage])
                     send_quiet(p.command, link.command)

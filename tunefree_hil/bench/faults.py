@@ -7,10 +7,11 @@ from functools import lru_cache
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench.load import Bench
-from tunefree_hil.bus.dbc.check_vehicle import nearest, one_error
+from tunefree_hil.bus.dbc.check_vehicle import one_error
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.dbc.message_map import COMMAND
 from tunefree_hil.config.fault_check import COUNTER_KINDS, CRC_KINDS, DRIVER, FAULT_KINDS, FRAME_KINDS
+from tunefree_hil.config.find import nearest
 from tunefree_hil.config.schema import FaultSpec
 from tunefree_hil.nodes.faults import ScriptedFault
 from tunefree_hil.plant.types import REST_FRAC, Driver

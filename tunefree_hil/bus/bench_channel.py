@@ -28,43 +28,39 @@ CHUNK_BYTES = 4
 MAX_PARTS = 4095
 
 
-class DescribedCode(IntEnum):
-    """Base of the codes: each has a `sentence` that explains it."""
+class Role(IntEnum):
+    """The sender's part in the bench."""
+
+    RUNNER = 0  # conducts episodes
+    ECU = 1  # the simulated vehicle; owns time in lockstep
+    CONTROLLER = 2  # drives the vehicle
+    TUNER = 3  # chooses parameters
+    OBSERVER = 4  # only listens
+
+
+class State(IntEnum):
+    """What a role is doing; from the runner STOP and END are requests."""
+
+    IDLE = 0  # waiting for an episode
+    LOADING = 1  # loading the episode
+    READY = 2  # the episode is loaded
+    RUN = 3  # the episode begins, or runs
+    FINISHED = 4  # the episode was driven to its end
+    FAILED = 5  # the episode ended early; the error code says why
+    STOP = 6  # the episode is to end now
+    END = 7  # the process is to end
+
+
+class ErrorCode(IntEnum):
+    """Why an episode ended early, with a `sentence` on it. From 1000 on: a controller's own errors."""
 
     sentence: str
 
-    def __new__(cls, value: int, sentence: str) -> DescribedCode:
+    def __new__(cls, value: int, sentence: str) -> ErrorCode:
         member = int.__new__(cls, value)
         member._value_ = value
         member.sentence = sentence
         return member
-
-
-class Role(DescribedCode):
-    """The sender's part in the bench."""
-
-    RUNNER = 0, "conducts episodes"
-    ECU = 1, "the simulated vehicle; owns time in lockstep"
-    CONTROLLER = 2, "drives the vehicle"
-    TUNER = 3, "chooses parameters"
-    OBSERVER = 4, "only listens"
-
-
-class State(DescribedCode):
-    """What a role is doing; from the runner STOP and END are requests."""
-
-    IDLE = 0, "waiting for an episode"
-    LOADING = 1, "loading the episode"
-    READY = 2, "the episode is loaded"
-    RUN = 3, "the episode begins, or runs"
-    FINISHED = 4, "the episode was driven to its end"
-    FAILED = 5, "the episode ended early; the error code says why"
-    STOP = 6, "the episode is to end now"
-    END = 7, "the process is to end"
-
-
-class ErrorCode(DescribedCode):
-    """Why an episode ended early. From 1000 on: errors inside a controller, its own numbers included."""
 
     NONE = 0, "no error"
     DIVERGED = 1, "the vehicle diverged: a value is not finite, or the heading error is above its limit"
@@ -157,21 +153,15 @@ class Hello(NamedTuple):
     text: bytes
 
 
-_TICK = struct.Struct("<I")
-_DONE = struct.Struct("<IBBH")
-_STATUS = struct.Struct("<BBHI")
-_EPISODE = struct.Struct("<6sH")
-_PARAM = struct.Struct("<BBf")
-_FAULT = struct.Struct("<BBHI")
 _HELLO = struct.Struct("<BHB4s")
 
 _BY_TYPE: dict[type, tuple[int, struct.Struct]] = {
-    Tick: (TICK_ID, _TICK),
-    Done: (DONE_ID, _DONE),
-    Status: (STATUS_ID, _STATUS),
-    Episode: (EPISODE_ID, _EPISODE),
-    Param: (PARAM_ID, _PARAM),
-    Fault: (FAULT_ID, _FAULT),
+    Tick: (TICK_ID, struct.Struct("<I")),
+    Done: (DONE_ID, struct.Struct("<IBBH")),
+    Status: (STATUS_ID, struct.Struct("<BBHI")),
+    Episode: (EPISODE_ID, struct.Struct("<6sH")),
+    Param: (PARAM_ID, struct.Struct("<BBf")),
+    Fault: (FAULT_ID, struct.Struct("<BBHI")),
 }
 _BY_ID: dict[int, tuple[type, struct.Struct]] = {can_id: (kind, form) for kind, (can_id, form) in _BY_TYPE.items()}
 

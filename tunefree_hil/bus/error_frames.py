@@ -33,7 +33,7 @@ CONTROLLER_STATES = {
 STATE_AT = 1
 
 
-def error_names(classes: int, data: bytes = b"") -> list[str]:
+def error_names(classes: int, data: bytes) -> list[str]:
     """The classes in an error frame's id, and the states of the controller in its data; ['no_class'] for none."""
     names = [name for bit, name in ERROR_CLASSES.items() if classes & bit]
     if classes & CONTROLLER and len(data) > STATE_AT:
@@ -44,6 +44,11 @@ def error_names(classes: int, data: bytes = b"") -> list[str]:
 def note_error(errors: Counter[str], classes: int, data: bytes, bus: str) -> None:
     """Count an error frame under each of its names. BenchError for bus-off."""
     errors.update(error_names(classes, data))
+    require_bus_on(classes, bus)
+
+
+def require_bus_on(classes: int, bus: str) -> None:
+    """Raise BenchError for the error frame of bus-off."""
     if classes & BUS_OFF:
         raise BenchError(f"{bus} is bus-off", code="bus_off", hint="wiring, bit rate, another node that disturbs?")
 

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import NamedTuple, Protocol
 
-from tunefree_hil.base.errors import BenchError, InputError, NoAnswer
+from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus.error_frames import note_error
+from tunefree_hil.bus.error_frames import require_bus_on
 from tunefree_hil.bus.python_can import can
-from tunefree_hil.bus.tfhub.owner import HubStats, Owner, PeerStats
 from tunefree_hil.bus.tfhub.pair import HubPair
 from tunefree_hil.bus.tfhub.plugin import HubBus
-from tunefree_hil.bus.tfhub.records import EFF_MASK
 
 SEND_S = 10.0  # how long a send may wait while another member blocks the bus
 MOST_AT_ONCE = 4096  # frames of one receive of a foreign bus, so that a flood cannot keep it for ever
@@ -25,19 +22,13 @@ class BusLink(Protocol):
     """One channel of one bus.
 
     `time_s` of a received frame is its stamp: virtual time on a hub with the clock 'sender' (and where members stamp on
-    a virtual bus), else CLOCK_MONOTONIC seconds. `errors` counts error frames by name (error_frames.py),
-    `remote_frames` the remote frames of foreign tools; neither is ever handed over as data. `refused`: the frames of
-    the last send that a full queue did not take, where a late frame is worse than none (SocketCAN in real time).
+    a virtual bus), else CLOCK_MONOTONIC seconds. Error frames and remote frames are never handed over as data.
+    `refused`: the frames of the last send that a full queue did not take, where a late frame is worse than none
+    (SocketCAN in real time).
     """
 
     @property
     def name(self) -> str: ...
-
-    @property
-    def errors(self) -> Counter[str]: ...
-
-    @property
-    def remote_frames(self) -> int: ...
 
     @property
     def refused(self) -> Sequence[CanFrame]: ...
@@ -61,37 +52,21 @@ class HubLink:
 
     refused: Sequence[CanFrame] = ()
 
-    def __init__(self, bus: HubBus, brs: bool = True) -> None:
+    def __init__(self, bus: HubBus) -> None:
         self.name = bus.name
-        self.errors: Counter[str] = Counter()
         self._bus = bus
-        self._brs = brs
-
-    @property
-    def remote_frames(self) -> int:
-        """Remote frames seen so far."""
-        return self._bus.remote_frames
-
-    @property
-    def dropped(self) -> int:
-        """Frames that this observer did not get; 0 for a member."""
-        return self._bus.dropped
 
     def send(self, frames: Sequence[CanFrame]) -> None:
         """See BusLink."""
-        try:
-            self._bus.send_frames(frames, SEND_S, self._brs)
-        except can.CanTimeoutError as error:
-            raise NoAnswer(str(error), code="bus_held") from None
+        self._bus.send_frames(frames, SEND_S)
 
     def receive(self, timeout_s: float) -> list[CanFrame]:
         """See BusLink."""
-        frames = self._bus.recv_frames(timeout_s)
-        if self._bus.error_frames:
-            latest, self._bus.error_frames = self._bus.error_frames, []
-            for raw in latest:
-                note_error(self.errors, raw.can_id & EFF_MASK, raw.data, self._bus.channel_info)
-        return frames
+        return self._bus.recv_frames(timeout_s)
+
+    def fileno(self) -> int:
+        """The socket, to wait on."""
+        return self._bus.fileno()
 
     def close(self) -> None:
         """See BusLink."""
@@ -105,31 +80,19 @@ class PairLink:
 
     def __init__(self, pair: HubPair, channel: int) -> None:
         self.name = pair.name
-        self.errors: Counter[str] = Counter()
         self._pair = pair
         self._channel = channel
 
-    @property
-    def remote_frames(self) -> int:
-        """Remote frames seen so far."""
-        return self._pair.remote_frames[self._channel]
-
     def send(self, frames: Sequence[CanFrame]) -> None:
         """See BusLink."""
-        vehicle, bench = (frames, ()) if self._channel == 0 else ((), frames)
-        try:
-            self._pair.send(vehicle, bench)
-        except can.CanTimeoutError as error:
-            raise NoAnswer(str(error), code="bus_held") from None
+        if self._channel == 0:
+            self._pair.send(frames, ())
+        else:
+            self._pair.send((), frames)
 
     def receive(self, timeout_s: float) -> list[CanFrame]:
         """See BusLink."""
-        frames = self._pair.receive(self._channel, timeout_s)
-        if self._pair.error_frames:
-            latest, self._pair.error_frames = self._pair.error_frames, []
-            for raw in latest:
-                note_error(self.errors, raw.can_id & EFF_MASK, raw.data, self._pair.info)
-        return frames
+        return self._pair.receive(self._channel, timeout_s)
 
     def close(self) -> None:
         """See BusLink; closes both."""
@@ -149,21 +112,28 @@ class Links(NamedTuple):
         self.bench.close()
 
 
+def separate_links(vehicle: BusLink, bench: BusLink) -> Links:
+    """Two links that share no connection."""
+
+    def send_both(vehicle_frames: Sequence[CanFrame], bench_frames: Sequence[CanFrame]) -> None:
+        if vehicle_frames:
+            vehicle.send(vehicle_frames)
+        if bench_frames:
+            bench.send(bench_frames)
+
+    return Links(vehicle, bench, send_both)
+
+
 class CanLink:
     """A BusLink over any other bus of python-can. `keeps_stamps`: the bus carries the senders' own stamps."""
 
     refused: Sequence[CanFrame] = ()
 
-    def __init__(
-        self, bus: can.BusABC, name: str, *, may_send: bool, keeps_stamps: bool = False, brs: bool = True
-    ) -> None:
+    def __init__(self, bus: can.BusABC, name: str, *, may_send: bool, keeps_stamps: bool = False) -> None:
         self.name = name
-        self.errors: Counter[str] = Counter()
-        self.remote_frames = 0
         self._bus = bus
         self._may_send = may_send
         self._keeps_stamps = keeps_stamps
-        self._brs = brs
 
     def send(self, frames: Sequence[CanFrame]) -> None:
         """See BusLink. InputError on a link that was opened to listen."""
@@ -210,19 +180,14 @@ class CanLink:
             is_extended_id=frame.extended,
             data=frame.data,
             is_fd=frame.fd,
-            bitrate_switch=frame.fd and self._brs,
+            bitrate_switch=frame.fd,
             check=True,
         )
 
     def _sort(self, message: can.Message, frames: list[CanFrame]) -> None:
         if message.is_error_frame:
-            note_error(self.errors, message.arbitration_id, bytes(message.data), self._bus.channel_info)
-        elif message.is_remote_frame:
-            self.remote_frames += 1
-        else:
+            require_bus_on(message.arbitration_id, self._bus.channel_info)
+        elif not message.is_remote_frame:
             data = bytes(message.data)
             extended = message.is_extended_id
             frames.append(CanFrame(message.arbitration_id, data, extended, message.is_fd, message.timestamp))
-
-
-__all__ = ["BusLink", "CanLink", "HubLink", "HubStats", "Links", "Owner", "PairLink", "PeerStats"]

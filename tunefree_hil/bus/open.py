@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from tunefree_hil.base.errors import BenchError, InputError
-from tunefree_hil.base.records import CanFrame
-from tunefree_hil.bus.link import BusLink, CanLink, HubLink, Links, PairLink
+from tunefree_hil.bus.link import BusLink, CanLink, HubLink, Links, PairLink, separate_links
 from tunefree_hil.bus.python_can import can
 from tunefree_hil.bus.socketcan.kernel_link import FD_MTU, MAKE_FD, MAKE_VCAN, holder, kernel_has_can, link_state
 from tunefree_hil.bus.socketcan.link import Options, open_socketcan
@@ -46,9 +45,7 @@ def resolve_bus(text: str = "auto", session: str = "default", bench_bus: str = "
     if kind == "auto" and not rest:
         choice = _auto(session)
     elif kind == "tfhub":
-        hub_session = _session_of(rest) if rest else session
-        why = f"tfhub, session {hub_session}, because --bus says so"
-        choice = BusChoice("tfhub", _hub(hub_session, "vehicle"), _hub(hub_session, "bench"), why)
+        choice = _hub_choice(_session_of(rest) if rest else session, "--bus says so")
     elif kind == "socketcan" and rest:
         _require_socketcan(rest)
         choice = _socketcan_choice(rest, "--bus says so", session)
@@ -73,29 +70,36 @@ def resolve_bus(text: str = "auto", session: str = "default", bench_bus: str = "
     return choice._replace(bench_address=bench, bench_text=bench)
 
 
+def _hub_choice(session: str, reason: str) -> BusChoice:
+    why = f"tfhub, session {session}, because {reason}"
+    return BusChoice("tfhub", _hub(session, "vehicle"), _hub(session, "bench"), why)
+
+
 def _socketcan_choice(link: str, reason: str, session: str) -> BusChoice:
     addresses = f"socketcan:{link}", _hub(session, "bench")
     return BusChoice("socketcan", *addresses, f"SocketCAN {link}, because {reason}", f"tfhub, session {session}")
 
 
+class LinkRequest(NamedTuple):
+    """How a node wants its link. `options`: of a SocketCAN link; the fields here win over it."""
+
+    name: str = ""
+    role: str = "member"  # or observer, which only listens
+    stamps: bool = False  # this member stamps its frames itself (lockstep)
+    fd: bool = False  # CAN FD, sent with bit-rate switch
+    only: Sequence[int] = ()  # on a hub and on SocketCAN only frames with these ids are handed over; () for all
+    clock: str = ""  # that a hub must have, one of CLOCKS; '' for any
+    options: Options = Options()
+
+
 def open_link(
     choice: BusChoice | str,
     channel: str = "vehicle",
-    *,
-    name: str = "",
-    role: str = "member",
-    stamps: bool = False,
-    fd: bool = False,
-    only: Sequence[int] = (),
-    clock: str = "",
-    options: Options | None = None,
+    request: LinkRequest = LinkRequest(),  # noqa: B008
 ) -> BusLink:
     """Open one channel of a choice, or an address as it stands in one.
 
-    `role` observer only listens. `stamps`: this member stamps its frames itself (lockstep). `fd`: CAN FD, sent with
-    bit-rate switch. `only`: on a hub and on SocketCAN, only frames with these ids are handed over. `clock`: the one
-    that a hub must have, one of CLOCKS; '' for any. `options`: of a SocketCAN link; the others win. InputError where
-    transmitting or the hub's clock is refused, BenchError where the bus does not open.
+    InputError where transmitting or the hub's clock is refused, BenchError where the bus does not open.
     """
     if channel not in CHANNELS:
         raise InputError(f"no channel {channel!r}", key="channel", hint=f"one of {', '.join(CHANNELS)}")
@@ -103,73 +107,50 @@ def open_link(
         choice = choice.vehicle_address if channel == "vehicle" else choice.bench_address
     kind, _, rest = choice.partition(":")
     if kind == "tfhub":
-        bus = HubBus(_endpoint_of(rest, channel), role=role, name=name, stamps=stamps, only=only)
-        _require_clock(bus.welcome, clock, bus.shutdown)
+        where = _endpoint_of(rest, channel)
+        bus = HubBus(where, role=request.role, name=request.name, stamps=request.stamps, only=request.only)
+        _require_clock(bus.welcome, request.clock, bus.shutdown)
         return HubLink(bus)
-    may_send = role == "member"
+    may_send, name = request.role == "member", request.name or default_name()
     if kind == "socketcan" and rest:
         _require_socketcan(rest)
         if may_send:
             require_virtual_link(rest)
-        if fd:
+        if request.fd:
             require_fd_link(rest)
-        given = (options or Options())._replace(may_send=may_send, fd=fd, only=only)
-        return open_socketcan(rest, name or default_name(), given)
+        options = request.options._replace(may_send=may_send, fd=request.fd, only=request.only)
+        return open_socketcan(rest, name, options)
     if kind != "virtual":
         raise InputError(f"{choice} is not open to a bench: {NO_GATE}", code="no_gate", key="--bus", hint=USE_VIRTUAL)
-    return CanLink(_virtual(rest, stamps), name or default_name(), may_send=may_send, keeps_stamps=stamps)
+    return CanLink(_virtual(rest, request.stamps), name, may_send=may_send, keeps_stamps=request.stamps)
 
 
-def open_links(
-    choice: BusChoice,
-    *,
-    name: str = "",
-    stamps: bool = False,
-    fd: bool = False,
-    only: Sequence[int] = (),
-    clock: str = "",
-    options: Options | None = None,
-) -> Links:
+def open_links(choice: BusChoice, request: LinkRequest) -> Links:
     """Both channels of a member; over one connection where both are channels of one hub.
 
-    `only`, `clock`, `options`: as open_link, the first of the vehicle's link where that is SocketCAN. On the bench
-    channel nothing is dropped, so of `options` only patience and `alive` count there.
+    `only` counts for the vehicle's link where that is SocketCAN. On the bench channel nothing is dropped, so of
+    `options` only `alive` counts there.
     """
     vehicle, bench = (text.partition(":") for text in (choice.vehicle_address, choice.bench_address))
     if vehicle[0] == bench[0] == "tfhub" and _session_of(vehicle[2]) == _session_of(bench[2]):
-        pair = HubPair(_endpoint_of(vehicle[2], "vehicle"), name=name, stamps=stamps)
-        _require_clock(pair.welcome, clock, pair.close)
+        pair = HubPair(_endpoint_of(vehicle[2], "vehicle"), name=request.name, stamps=request.stamps)
+        _require_clock(pair.welcome, request.clock, pair.close)
         return Links(PairLink(pair, 0), PairLink(pair, 1), pair.send)
-    vehicle_ids = only if vehicle[0] == "socketcan" else ()
-    links = [
-        open_link(choice, "vehicle", name=name, stamps=stamps, fd=fd, only=vehicle_ids, clock=clock, options=options)
-    ]
-    patient = Options(alive=options.alive if options else None)
+    vehicle_link = open_link(choice, "vehicle", request if vehicle[0] == "socketcan" else request._replace(only=()))
+    patient = Options(alive=request.options.alive)
     try:
-        links.append(open_link(choice, "bench", name=name, stamps=stamps, clock=clock, options=patient))
+        bench_link = open_link(choice, "bench", request._replace(fd=False, only=(), options=patient))
     except BaseException:
-        links[0].close()
+        vehicle_link.close()
         raise
-
-    def send_both(vehicle_frames: Sequence[CanFrame], bench_frames: Sequence[CanFrame]) -> None:
-        if vehicle_frames:
-            links[0].send(vehicle_frames)
-        if bench_frames:
-            links[1].send(bench_frames)
-
-    return Links(links[0], links[1], send_both)
+    return separate_links(vehicle_link, bench_link)
 
 
 def alone_on(vehicle: BusLink) -> Links:
     """The links of a node without a bench channel: nothing is sent or received there."""
     bus = f"alone-{id(vehicle)}"
-    bench = CanLink(_virtual(bus, False), vehicle.name, may_send=True)
-
-    def send_both(vehicle_frames: Sequence[CanFrame], bench_frames: Sequence[CanFrame]) -> None:
-        if vehicle_frames:
-            vehicle.send(vehicle_frames)
-
-    return Links(vehicle, bench, send_both)
+    bench = CanLink(_virtual(bus, False), vehicle.name, may_send=True)  # its own bus: what is sent there is lost
+    return separate_links(vehicle, bench)
 
 
 def require_virtual_link(name: str) -> None:
@@ -215,9 +196,7 @@ def _auto(session: str) -> BusChoice:
         reason = f"{DEFAULT_LINK} is not a vcan link"
     else:
         reason = f"{DEFAULT_LINK} is down"
-    return BusChoice(
-        "tfhub", _hub(session, "vehicle"), _hub(session, "bench"), f"tfhub, session {session}, because {reason}"
-    )
+    return _hub_choice(session, reason)
 
 
 def _require_clock(welcome: Welcome, clock: str, close: Callable[[], None]) -> None:
@@ -294,6 +273,3 @@ def _virtual(name: str, stamps: bool) -> can.BusABC:
         return can.Bus(name, interface="virtual", preserve_timestamps=stamps, ignore_config=True)
     except (can.CanError, OSError) as error:
         raise BenchError(f"virtual:{name} does not open: {error}", code="bus_error") from error
-
-
-__all__ = ["BusChoice", "alone_on", "open_link", "open_links", "require_fd_link", "require_virtual_link", "resolve_bus"]

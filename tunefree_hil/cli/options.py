@@ -1,31 +1,51 @@
-"""Options that several commands share: one name, one meaning, one help text."""
+"""A command from a function: its options are the fields of the records and the parameters that the function takes."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
-from enum import Enum
-from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import NoneType
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
 
-DEFAULT_SESSION = "default"
-Record = TypeVar("Record")
+from tunefree_hil.base.events import Event
+from tunefree_hil.cli.output import present
+from tunefree_hil.jobs.options.option import DEFAULT_SESSION, Argument, Option
 
-Bench = Annotated[Path, typer.Argument(help="bench file, such as bench_configs/mkz_steer.toml")]
-RunPath = Annotated[Path, typer.Argument(metavar="RUN", help="folder of a run, such as runs/20260101-120000-mkz_steer")]
-Bus = Annotated[str, typer.Option(help="auto, tfhub, tfhub:ADDRESS, socketcan:vcan0 or virtual")]
-BenchBus = Annotated[str, typer.Option(help="another virtual link for the bench channel: socketcan:vcan1")]
-Join = Annotated[bool, typer.Option("--join", help="use a hub and nodes that run already (other terminals)")]
-Model = Annotated[str | None, typer.Option(help="model; default: as in the bench file")]
-Out = Annotated[Path | None, typer.Option(help="where run folders go; default: runs")]
-Realtime = Annotated[bool, typer.Option("--realtime", help="in real time (100 Hz) instead of lockstep")]
-Seed = Annotated[int | None, typer.Option(min=0, help="seed; default: as in the file")]
-Session = Annotated[str, typer.Option(help="name of the bench, where several run on one machine")]
-Vehicle = Annotated[str | None, typer.Option(help="vehicle folder or its name in dbc/")]
-Plain = Annotated[bool, typer.Option("--plain", help="one line an event")]
-AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on stdout, last")]
+Record = TypeVar("Record")
+StartJob = Callable[..., Iterable[Event]]
+
+COMMON = (
+    ("plain", Annotated[bool, Option("one line an event")]),
+    ("as_json", Annotated[bool, Option("one JSON object on stdout, last", "--json")]),
+)
+
+
+def command(name: str) -> Callable[[StartJob], Callable[..., int]]:
+    """Make the command `name` of a function that starts a job.
+
+    A parameter of the function whose type is a record (NamedTuple) becomes an option for each field; any other is an
+    option itself. Their metadata is in jobs/options/option.py. --plain and --json are added. The function is called
+    when the job starts, so that it may import the job.
+    """
+
+    def make_command(start_job: StartJob) -> Callable[..., int]:
+        types = get_type_hints(start_job, include_extras=True)
+        own = inspect.signature(start_job).parameters
+        listed = [one for parameter in own.values() for one in _list_options(parameter, types[parameter.name])]
+        listed += [_make_parameter(option, declared, False) for option, declared in COMMON]
+
+        def run(*, plain: bool, as_json: bool, **arguments: Any) -> int:
+            given = {key: _fill_parameter(parameter, types[key], arguments) for key, parameter in own.items()}
+            return present(name, lambda: start_job(**given), plain=plain, as_json=as_json)
+
+        run.__name__, run.__doc__ = start_job.__name__, start_job.__doc__
+        run.__annotations__ = {one.name: one.annotation for one in listed}
+        run.__signature__ = inspect.Signature(listed)  # type: ignore[attr-defined]  # where typer reads the options
+        return run
+
+    return make_command
 
 
 def session_of(session: str, join: bool) -> str:
@@ -38,14 +58,53 @@ def record_from(record: Callable[..., Record], arguments: Mapping[str, Any], **c
 
     Args:
         record: NamedTuple whose fields have the names of the command's arguments.
-        arguments: `locals()`, taken in the first line of the command. Enum members become their values; an option that
-            was not given (None) keeps the default of the record.
+        arguments: By name, also of other records. An option that was not given (None) keeps the default of the record.
         changes: Values that replace arguments, and fields that no argument has.
     """
     fields = inspect.signature(record).parameters
-    values = {name: _plain_value(arguments[name]) for name in fields if arguments.get(name) is not None}
+    values = {name: arguments[name] for name in fields if arguments.get(name) is not None}
     return record(**{**values, **changes})
 
 
-def _plain_value(value: Any) -> Any:
-    return value.value if isinstance(value, Enum) else value
+def _fill_parameter(parameter: inspect.Parameter, declared: Any, arguments: Mapping[str, Any]) -> Any:
+    """The value of a parameter of the function that starts the job."""
+    if _is_record(declared):
+        return record_from(declared, arguments)
+    value = arguments[parameter.name]
+    return parameter.default if value is None else value
+
+
+def _is_record(declared: Any) -> bool:
+    return hasattr(declared, "_fields")
+
+
+def _list_options(parameter: inspect.Parameter, declared: Any) -> list[inspect.Parameter]:
+    if not _is_record(declared):
+        return [_make_parameter(parameter.name, declared, parameter.default)]
+    types, defaults = get_type_hints(declared, include_extras=True), declared._field_defaults
+    return [_make_parameter(name, types[name], defaults.get(name, inspect.Parameter.empty)) for name in types]
+
+
+def _make_parameter(name: str, declared: Any, default: Any) -> inspect.Parameter:
+    """The parameter that typer reads for a field, or a parameter, with an Option or Argument."""
+    plain, shown = get_args(declared)
+    shown_type = _convert_type(plain, getattr(shown, "choices", ()))
+    if default == ():
+        shown_type, default = shown_type | None, None
+    if isinstance(shown, Argument):
+        info: Any = typer.Argument(metavar=shown.metavar, help=shown.help)
+    else:
+        names = [shown.name or f"--{name.replace('_', '-')}"] if shown.name or plain is bool else []
+        info = typer.Option(*names, metavar=shown.metavar, help=shown.help, min=shown.minimum, max=shown.maximum)
+    annotation = Annotated[shown_type, info]
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def _convert_type(declared: Any, choices: tuple[str, ...]) -> Any:
+    """The type for typer, which has no Sequence and takes choices from a Literal."""
+    parts = get_args(declared)
+    if NoneType in parts:
+        return _convert_type(parts[0], choices) | None
+    if choices:
+        return Literal[choices]
+    return list[parts[0]] if get_origin(declared) is Sequence else declared

@@ -70,7 +70,7 @@ class _JobEnd:
             self.result = event
 
 
-def present(command: str, job: Callable[[], Iterable[Event]], *, plain: bool, as_json: bool, first: str = "") -> int:
+def present(command: str, job: Callable[[], Iterable[Event]], *, plain: bool, as_json: bool) -> int:
     """Run a job, show its events and print how it ended.
 
     Errors of base/errors.py become one message; any other exception is a bug and keeps its traceback. When the reader
@@ -78,17 +78,16 @@ def present(command: str, job: Callable[[], Iterable[Event]], *, plain: bool, as
 
     Args:
         command: Name for --json.
-        job: Starts the job; called after `first` is shown, as it imports modules.
+        job: Starts the job.
         plain: One line an event.
         as_json: One object on stdout, last.
-        first: First line.
 
     Returns:
         The exit status.
     """
     job_end = _JobEnd()
     try:
-        return ExitStatus(_run_and_print(command, job, job_end, _make_sink(plain), as_json, first))
+        return ExitStatus(_run_and_print(command, job, job_end, _make_sink(plain), as_json))
     except BrokenPipeError:
         for stream in (sys.stdout, sys.stderr):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
@@ -96,13 +95,11 @@ def present(command: str, job: Callable[[], Iterable[Event]], *, plain: bool, as
 
 
 def _run_and_print(
-    command: str, job: Callable[[], Iterable[Event]], job_end: _JobEnd, sink: Sink, as_json: bool, first: str
+    command: str, job: Callable[[], Iterable[Event]], job_end: _JobEnd, sink: Sink, as_json: bool
 ) -> int:
     """Run the job and print its end; returns the exit status. Raises BrokenPipeError when the reader is gone."""
     status, errors = 1, []
     try:
-        if first:
-            sink.show(Event("note", first))
         _show_events(job(), sink, job_end, as_json)
         status = _status_from_result(job_end)
     except KeyboardInterrupt:

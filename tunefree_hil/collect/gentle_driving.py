@@ -12,8 +12,6 @@ import math
 from typing import NamedTuple
 
 from tunefree_hil.base.maths import clamp
-from tunefree_hil.collect import steering
-from tunefree_hil.collect.area import DrivingArea, Pose
 from tunefree_hil.collect.cells import max_planned_speed_mps
 from tunefree_hil.collect.envelope import BORDER_M, Envelope, curvature_1pm, steer_for_curvature_rad, turn_back_room_m
 from tunefree_hil.collect.pedals import PedalState
@@ -155,16 +153,19 @@ def update_push(gentle: GentleState, pedals: PedalState, envelope: Envelope, dt_
 
 
 def update_return_side(
-    gentle: GentleState, envelope: Envelope, area: DrivingArea, pose: Pose, speed_mps: float, room_m: float
+    gentle: GentleState, envelope: Envelope, speed_mps: float, error_rad: float, room_m: float
 ) -> GentleState:
-    """Begin or end steering back to the middle of the area; begun while a gentle curve still fits ahead."""
-    error = steering.error_rad(pose, (area.x_m, area.y_m))
-    if abs(error) < FACING_RAD:
+    """Begin or end steering back to the middle of the area; begun while a gentle curve still fits ahead.
+
+    Args:
+        error_rad: Heading error to the middle.
+        room_m: Distance ahead to the inner border.
+    """
+    if abs(error_rad) < FACING_RAD:
         return gentle._replace(side=0.0)
-    if gentle.side == 0.0 and room_m < 1.3 / gentle_curvature_1pm(envelope, speed_mps) + turn_back_room_m(
-        envelope, speed_mps
-    ):
-        return gentle._replace(side=math.copysign(1.0, error))
+    needed_m = 1.3 / gentle_curvature_1pm(envelope, speed_mps) + turn_back_room_m(envelope, speed_mps)
+    if gentle.side == 0.0 and room_m < needed_m:
+        return gentle._replace(side=math.copysign(1.0, error_rad))
     return gentle
 
 
@@ -175,11 +176,9 @@ def target_angle_rad(
     most = gentle_curvature_1pm(envelope, speed_mps)
     if gentle.side != 0.0:
         return steer_for_curvature_rad(envelope, gentle.side * most)
-    return (
-        steer_for_curvature_rad(envelope, most * math.sin(2.0 * math.pi * drive_s / BEND_S))
-        if stretch.is_curved
-        else 0.0
-    )
+    if not stretch.is_curved:
+        return 0.0
+    return steer_for_curvature_rad(envelope, most * math.sin(2.0 * math.pi * drive_s / BEND_S))
 
 
 def limit_wheel_rate_rad(target_rad: float, last_rad: float, envelope: Envelope, dt_s: float) -> float:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from tunefree_hil.collect.cells import FIRST_THROTTLE, NO_CELL, SPEED_BAND_COUNT, STRAIGHT, CellCounter, TargetCell
+from tunefree_hil.collect.cells import FIRST_THROTTLE, NO_CELL, SPEED_BAND_COUNT, STRAIGHT, TargetCell
 from tunefree_hil.collect.envelope import Envelope, run_up_m, turn_back_room_m
+from tunefree_hil.collect.features import PlannerParams, PlannerState, PlannerTick
+from tunefree_hil.collect.steering import steer_band
 
 # Entry speeds as shares of a cell's speed window, by pedal band: high before braking, low before accelerating.
 ENTRIES = ((0.45, 1.0), (0.30, 1.0), (0.15, 1.0), (0.15, 1.0), (0.0, 0.8), (0.0, 0.6))
@@ -27,34 +27,21 @@ def entry_speeds_mps(target: TargetCell) -> tuple[float, float]:
     return target.low_mps + low * width, target.low_mps + high * width
 
 
-def choose_cell(
-    targets: Sequence[TargetCell],
-    counter: CellCounter,
-    envelope: Envelope,
-    speed_mps: float,
-    steer: int,
-    room: float,
-    skipped: int,
-) -> int:
-    """Number of the next cell, NO_CELL where all are full.
-
-    Args:
-        steer: Index of the current steering band.
-        room: Distance ahead to the inner border, m.
-        skipped: Number of the cell that was given up last.
-    """
-    best, least = NO_CELL, 0.0
-    for number, target in enumerate(targets):
-        if not counter.lacks(number):
+def choose_cell(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> int:
+    """Number of the next cell, NO_CELL where all are full."""
+    best, least, steer = NO_CELL, 0.0, steer_band(p.bands, tick.signals)
+    for number, target in enumerate(p.targets):
+        if not s.counter.lacks(number):
             continue
-        cost = _cost(target, envelope, speed_mps, steer, room) + (SKIPPED_S if number == skipped else 0.0)
+        cost = _cost(target, p.envelope, steer, tick) + (SKIPPED_S if number == s.skipped_cell else 0.0)
         if best == NO_CELL or cost < least:
             best, least = number, cost
     return best
 
 
-def _cost(target: TargetCell, envelope: Envelope, speed_mps: float, steer: int, room: float) -> float:
-    low, high = entry_speeds_mps(target)
+def _cost(target: TargetCell, envelope: Envelope, steer: int, tick: PlannerTick) -> float:
+    """Time until a cell is entered, s; steer: index of the current steering band."""
+    (low, high), speed_mps = entry_speeds_mps(target), tick.signals.speed_mps
     if speed_mps < low:
         entered, cost = low, (low - speed_mps) / ACCEL_MPS2
     elif speed_mps > high:
@@ -67,6 +54,6 @@ def _cost(target: TargetCell, envelope: Envelope, speed_mps: float, steer: int, 
         needed += turn_back_room_m(envelope, entered)
     if target.index.pedal >= FIRST_THROTTLE:
         needed += entered
-    if needed > room:
+    if needed > tick.room_m:
         return cost + TURN_BACK_S
     return cost - FAST_BONUS_S * target.index.speed

@@ -73,12 +73,8 @@ def plan_from_dict(data: dict[str, Any], file: str) -> DrivePlan:
             float(data["coast_s"]),
         )
     except (LookupError, TypeError, ValueError) as error:
-        raise InputError(
-            f"is not a plan of a drive: {error}",
-            code="bad_plan",
-            file=file,
-            hint="it may be from another version; start the collection again",
-        ) from error
+        hint = "it may be from another version; start the collection again"
+        raise InputError(f"is not a plan of a drive: {error}", code="bad_plan", file=file, hint=hint) from error
 
 
 def bounded_envelope(vehicle: VehicleSpec, bounds: DriveBounds | None) -> Envelope:

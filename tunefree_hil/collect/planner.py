@@ -95,9 +95,8 @@ def step(p: PlannerParams, s: PlannerState, x: ControllerInput, dt_s: float) -> 
     tick = PlannerTick(x.tick, dt_s, signals, pose, room_m(area, pose))
     s = s._replace(area=area, pedals=update_acceleration(s.pedals, signals.speed_mps, dt_s))
     s = decide_mode(p, s, tick)
-    wheel = steering.update_wheel(
-        p.envelope, s.wheel, _target_angle_rad(p, s, tick), signals.speed_mps, _lateral_accel(ins, signals), dt_s
-    )
+    eased = steering.ease_wheel(p.envelope, s.wheel, _lateral_accel(ins, signals), dt_s)
+    wheel = steering.turn_wheel(p.envelope, eased, _target_angle_rad(p, s, tick), signals.speed_mps, dt_s)
     pedal, push = _target_push(p, s, tick)
     if s.mode not in (START, STOP, STAND):  # standing and stopping are allowed outside the bounds
         push = clamp(push, *push_limits(p.envelope, pedal))
@@ -121,7 +120,7 @@ def decide_mode(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> Planner
         is_facing = abs(steering.error_rad(tick.pose, s.aim)) < FACING_RAD
         return _choose_next(p, s, tick) if is_facing and not _must_turn(p, s, tick) else s
     if _must_turn(p, s, tick):
-        return _begin_turn(p, s, tick)
+        return _begin_turn(s, tick)
     if s.mode == START or _is_over(p, s, tick):
         return _choose_next(p, s, tick)
     if s.mode == GENTLE:
@@ -138,7 +137,8 @@ def _drive_gently(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> Plann
     assert s.area is not None
     speed = tick.signals.speed_mps
     gentle = gentle_driving.advance_stage(s.gentle, p.stretches[s.gentle.number], p.envelope, speed, tick.dt_s)
-    gentle = gentle_driving.update_return_side(gentle, p.envelope, s.area, tick.pose, speed, tick.room_m)
+    error_rad = steering.error_rad(tick.pose, (s.area.x_m, s.area.y_m))
+    gentle = gentle_driving.update_return_side(gentle, p.envelope, speed, error_rad, tick.room_m)
     s = s._replace(gentle=gentle_driving.update_push(gentle, s.pedals, p.envelope, tick.dt_s))
     return s if _is_gentle_left(p, s) else _choose_next(p, s, tick)
 
@@ -161,7 +161,12 @@ def _approach_cell(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> Plan
 
 
 def _has_room(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> bool:
-    return steering.has_room_for_cell(p.envelope, p.bands, p.targets[s.cell], s.area, tick.pose, tick.signals.speed_mps)
+    """Whether the cell can be driven from here: a tight one needs its full circle inside the area, or free distance."""
+    assert s.area is not None
+    curvature, speed = steering.cell_curvature_1pm(p.envelope, p.bands, p.targets[s.cell]), tick.signals.speed_mps
+    if not steering.is_tight(curvature) or is_circle_inside(s.area, tick.pose, curvature):
+        return True
+    return tick.room_m > turn_back_room_m(p.envelope, speed) + steering.TIGHT_CELL_S * speed
 
 
 def _choose_next(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> PlannerState:
@@ -171,9 +176,7 @@ def _choose_next(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> Planne
         return _enter_mode(s, STOP, tick)
     if _is_gentle_left(p, s):
         return _enter_mode(s, GENTLE, tick)._replace(cell=NO_CELL, gentle=gentle_driving.begin_gentle(s.gentle, speed))
-    cell = choose_cell(
-        p.targets, s.counter, p.envelope, speed, steering.steer_band(p.bands, tick.signals), tick.room_m, s.skipped_cell
-    )
+    cell = choose_cell(p, s, tick)
     if cell == NO_CELL:
         return _enter_mode(s, STOP, tick)
     assert s.area is not None
@@ -185,7 +188,7 @@ def _is_over(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> bool:
     return tick.number >= p.stop_tick or (s.counter.missing == 0 and not _is_gentle_left(p, s))
 
 
-def _begin_turn(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> PlannerState:
+def _begin_turn(s: PlannerState, tick: PlannerTick) -> PlannerState:
     assert s.area is not None
     aim = farthest_corner(s.area, tick.pose)
     side = 1.0 if steering.error_rad(tick.pose, aim) >= 0.0 else -1.0
@@ -222,7 +225,18 @@ def _target_angle_rad(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> f
     if s.mode == HOLD:
         sway = excitation_wave((s.hold_count // 2) % WAVE_KINDS, tick.since_s(s.mode_tick))
         return steering.angle_in_band_rad(p.envelope, p.bands, target, tick.signals.speed_mps, sway)
-    return steering.approach_angle_rad(p.envelope, p.bands, target, s.area, tick.pose, s.aim, tick.signals.speed_mps)
+    return _approach_angle_rad(p, s, tick)
+
+
+def _approach_angle_rad(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> float:
+    """Angle while a cell's speed is being reached: circle of a tight cell, else to the aim, or the middle if narrow."""
+    target, speed, aim = p.targets[s.cell], tick.signals.speed_mps, s.aim
+    if steering.is_tight(steering.cell_curvature_1pm(p.envelope, p.bands, target)):
+        if _has_room(p, s, tick):
+            return steering.angle_in_band_rad(p.envelope, p.bands, target, speed, 0.0)
+        assert s.area is not None
+        aim = (s.area.x_m, s.area.y_m)
+    return steering.angle_towards_rad(p.envelope, steering.error_rad(tick.pose, aim), speed)
 
 
 def _target_push(p: PlannerParams, s: PlannerState, tick: PlannerTick) -> tuple[PedalState, float]:

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from tunefree_hil.base.maths import clamp, wrap_rad
-from tunefree_hil.collect.area import DrivingArea, Pose, bearing_rad, is_circle_inside, room_m
+from tunefree_hil.collect.area import Pose, bearing_rad
 from tunefree_hil.collect.cells import STRAIGHT, BandEdges, CellSignals, TargetCell
 from tunefree_hil.collect.envelope import (
     LATERAL_SHARE,
@@ -15,7 +15,6 @@ from tunefree_hil.collect.envelope import (
     curvature_1pm,
     max_curvature_1pm,
     steer_for_curvature_rad,
-    turn_back_room_m,
 )
 
 TIGHT_M = 60.0  # cells up to this radius are driven in full circles
@@ -61,31 +60,9 @@ def angle_in_band_rad(envelope: Envelope, bands: BandEdges, target: TargetCell, 
     return math.copysign(angle, turn)
 
 
-def has_room_for_cell(
-    envelope: Envelope, bands: BandEdges, target: TargetCell, area: DrivingArea | None, pose: Pose, speed_mps: float
-) -> bool:
-    """Whether a cell can be driven from here: a tight one needs its full circle inside the area, or a free distance."""
-    bend = _cell_curvature_1pm(envelope, bands, target)
-    if area is None or abs(bend) * TIGHT_M < 1.0 or is_circle_inside(area, pose, bend):
-        return True
-    return room_m(area, pose) > turn_back_room_m(envelope, speed_mps) + TIGHT_CELL_S * speed_mps
-
-
-def approach_angle_rad(
-    envelope: Envelope,
-    bands: BandEdges,
-    target: TargetCell,
-    area: DrivingArea | None,
-    pose: Pose,
-    aim: tuple[float, float],
-    speed_mps: float,
-) -> float:
-    """Angle while a cell's speed is being reached: circle of a tight cell, else to the aim, or the middle if narrow."""
-    if abs(_cell_curvature_1pm(envelope, bands, target)) * TIGHT_M >= 1.0 and area is not None:
-        if has_room_for_cell(envelope, bands, target, area, pose, speed_mps):
-            return angle_in_band_rad(envelope, bands, target, speed_mps, 0.0)
-        aim = (area.x_m, area.y_m)
-    return _angle_towards_rad(envelope, error_rad(pose, aim), speed_mps)
+def is_tight(curvature: float) -> bool:
+    """Whether a cell of this curvature is driven in full circles."""
+    return abs(curvature) * TIGHT_M >= 1.0
 
 
 def turn_back_angle_rad(
@@ -95,24 +72,25 @@ def turn_back_angle_rad(
     error = error_rad(pose, aim)
     if abs(error) > REVERSAL_RAD:
         error = math.copysign(error, side)
-    return _angle_towards_rad(envelope, error, speed_mps)
+    return angle_towards_rad(envelope, error, speed_mps)
 
 
-def update_wheel(
-    envelope: Envelope, wheel: WheelState, target_rad: float, speed_mps: float, lateral_mps2: float, dt_s: float
-) -> WheelState:
-    """Next command, limited by speed, measured lateral acceleration and steering rate."""
+def ease_wheel(envelope: Envelope, wheel: WheelState, lateral_mps2: float, dt_s: float) -> WheelState:
+    """Adapt the factor on the angle to the measured lateral acceleration."""
     if abs(lateral_mps2) > EASE_SHARE * envelope.lateral_mps2:
-        ease = max(0.3, wheel.ease - EASE_PER_S * dt_s)
-    else:
-        ease = min(1.0, wheel.ease + EASE_BACK_PER_S * dt_s)
-    bound = _max_angle_rad(envelope, speed_mps) * ease
+        return wheel._replace(ease=max(0.3, wheel.ease - EASE_PER_S * dt_s))
+    return wheel._replace(ease=min(1.0, wheel.ease + EASE_BACK_PER_S * dt_s))
+
+
+def turn_wheel(envelope: Envelope, wheel: WheelState, target_rad: float, speed_mps: float, dt_s: float) -> WheelState:
+    """Next command, limited by speed, `ease` and steering rate."""
+    bound = _max_angle_rad(envelope, speed_mps) * wheel.ease
     reach = RATE_SHARE * envelope.steer_rate_radps * dt_s
     wanted = clamp(target_rad, -bound, bound)
-    return wheel._replace(steer_rad=clamp(wanted, wheel.steer_rad - reach, wheel.steer_rad + reach), ease=ease)
+    return wheel._replace(steer_rad=clamp(wanted, wheel.steer_rad - reach, wheel.steer_rad + reach))
 
 
-def _angle_towards_rad(envelope: Envelope, error: float, speed_mps: float) -> float:
+def angle_towards_rad(envelope: Envelope, error: float, speed_mps: float) -> float:
     """Angle that corrects a heading error in about one second, limited by the speed."""
     most = max_curvature_1pm(envelope, speed_mps)
     return steer_for_curvature_rad(envelope, clamp(error / max(0.9 * speed_mps, 4.0), -most, most))
@@ -127,7 +105,7 @@ def _max_angle_rad(envelope: Envelope, speed_mps: float) -> float:
     return steer_for_curvature_rad(envelope, LATERAL_SHARE * envelope.lateral_mps2 / square)
 
 
-def _cell_curvature_1pm(envelope: Envelope, bands: BandEdges, target: TargetCell) -> float:
+def cell_curvature_1pm(envelope: Envelope, bands: BandEdges, target: TargetCell) -> float:
     """Curvature in the middle of a cell's steering and speed band."""
     speed = target.low_mps + 0.5 * (target.high_mps - target.low_mps)
     if target.index.steer == STRAIGHT:

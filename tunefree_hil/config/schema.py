@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from msgspec import field
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from tunefree_hil.config.vehicle_schema import (
     E2eSpec,
@@ -56,6 +56,7 @@ __all__ = [
     "ValidSpec",
     "VehicleSpec",
     "WeightsSpec",
+    "field_values",
     "value_of",
     "with_controller",
     "with_scenarios",
@@ -264,6 +265,11 @@ class BenchSpec(Spec, frozen=True, kw_only=True):
     effects: list[EffectSpec] = field(default_factory=list)
     faults: list[FaultSpec] = field(default_factory=list)
     path: str = ""
+
+
+def field_values(spec: Spec) -> dict[str, Any]:
+    """The fields of a struct by name; structs in them stay structs."""
+    return asdict(spec)
 
 
 def with_controller(spec: BenchSpec, command: list[str]) -> BenchSpec:

@@ -117,7 +117,7 @@ class _LatestValues:
         for frame in frames:
             key = (frame.can_id, frame.channel)
             message = messages[key] if key in messages else self._find(key)
-            if message is None or payloads.get(message) == frame.data or not codec.fits(message, frame.data):
+            if message is None or payloads.get(message) == frame.data or not message.fits(frame.data):
                 continue
             if message.e2e is not None and not is_intact(message.e2e, frame.data[: message.length]):
                 continue  # a corrupted frame is rejected

@@ -81,7 +81,7 @@ def _differing(first: PlacedFrame, second: PlacedFrame, codec: Codec) -> SignalD
 
 def _decoded(item: PlacedFrame, codec: Codec) -> Mapping[str, float]:
     message = codec.by_id[item.can_id]
-    return codec.decode(message, item.frame.data) if codec.fits(message, item.frame.data) else {}
+    return codec.decode(message, item.frame.data) if message.fits(item.frame.data) else {}
 
 
 def _divergence(item: PlacedFrame, codec: Codec, signal: str, first: float | str, second: float | str) -> Divergence:

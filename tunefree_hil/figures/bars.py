@@ -3,82 +3,55 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tunefree_hil.figures import style
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 FAILURE_SCORE = 10.0  # docs/reference/grading.md; bars of failures are cut to keep the others readable
 HEIGHT_IN = 0.28  # of one bar
 
 
-def write_bars(path: Path, scores: Mapping[str, Mapping[str, float]], failure: float = FAILURE_SCORE) -> Path:
-    """Write the figure of `draw_bars` to `path` as PNG."""
-    return style.save(draw_bars(scores, failure), path)
-
-
-def draw_bars(scores: Mapping[str, Mapping[str, float]], failure: float = FAILURE_SCORE) -> Figure:
+def draw_bars(scores: Mapping[str, Mapping[str, float]]) -> Figure:
     """Bars by scenario; scores: by label ("manual ...", "tuned ...", other baselines), then by scenario.
 
-    A scenario that a label lacks has no bar. Scores from `failure` on are failed drives: the bar is cut and labelled.
+    A scenario that a label lacks has no bar. Scores from FAILURE_SCORE on are failed drives: the bar is cut and
+    labelled.
     """
     labels = list(scores)
     scenarios = list(dict.fromkeys(name for label in labels for name in scores[label]))
     figure = style.new_figure(11.0, 2.2 + HEIGHT_IN * len(scenarios) * (len(labels) + 0.8))
     axes = figure.add_subplot()
-    end = _end([score for one in scores.values() for score in one.values()], failure)
-    for row, (label, look) in enumerate(style.looks(labels).items()):
-        _draw_series(axes, scores[label], scenarios, (row, len(labels)), look, label, end)
-    axes.set_yticks(range(len(scenarios)), scenarios)
-    axes.set_ylim(len(scenarios) - 0.45, -0.55)  # the first on top
+    end = _longest_bar([score for by_scenario in scores.values() for score in by_scenario.values()])
+    width = 0.82 / len(labels)
+    for row, label in enumerate(labels):
+        offset = (row - 0.5 * (len(labels) - 1)) * width
+        shown = {i + offset: scores[label][name] for i, name in enumerate(scenarios) if name in scores[label]}
+        look = style.looks(labels)[label]
+        hatch = "//" if look is style.MANUAL else ""
+        lengths = [min(score, end) for score in shown.values()]
+        bar_style: dict[str, Any] = {"color": look.colour, "hatch": hatch, "edgecolor": "white", "label": label}
+        axes.barh(list(shown), lengths, height=0.9 * width, **bar_style)
+        for (position, score), length in zip(shown.items(), lengths, strict=True):
+            text = f" {style.number(score)}" + (" ▸ failed" if score > end else "")
+            axes.text(length, position, text, va="center", fontsize=style.FONT_PT - 2.0, color=style.INK)
     axes.set_xlim(0.0, 1.12 * end)
     style.dress(axes, "score (lower is better)", "")
+    style.name_bars(axes, scenarios)
     axes.tick_params(axis="y", labelsize=style.FONT_PT)
-    axes.grid(False, axis="y")
     style.legend_below(figure, axes, 3)
     style.headline(figure, _sentence(scores))
     return figure
 
 
-def _end(values: list[float], failure: float) -> float:
-    """The longest bar: the worst drive that did not fail."""
-    sound = [value for value in values if value < failure]
-    return 1.02 * max(sound) if sound and max(sound) > 0.0 else failure
-
-
-def _draw_series(
-    axes: Axes,
-    scores: Mapping[str, float],
-    scenarios: list[str],
-    place: tuple[int, int],
-    look: style.Look,
-    label: str,
-    end: float,
-) -> None:
-    """The bars of one label; `place`: which of how many in each group."""
-    width = 0.82 / place[1]
-    positions = {name: i + (place[0] - 0.5 * (place[1] - 1)) * width for i, name in enumerate(scenarios)}
-    shown = [name for name in scenarios if name in scores]
-    axes.barh(
-        [positions[name] for name in shown],
-        [min(scores[name], end) for name in shown],
-        height=0.9 * width,
-        color=look.colour,
-        hatch="//" if look is style.MANUAL else "",
-        edgecolor="white",
-        label=label,
-    )
-    for name in shown:
-        text = f" {style.number(scores[name])}" + (" ▸ failed" if scores[name] > end else "")
-        axes.text(
-            min(scores[name], end), positions[name], text, va="center", fontsize=style.FONT_PT - 2.0, color=style.INK
-        )
+def _longest_bar(scores: list[float]) -> float:
+    """Length of the longest bar: the worst drive that did not fail."""
+    sound = [score for score in scores if score < FAILURE_SCORE]
+    return 1.02 * max(sound) if sound and max(sound) > 0.0 else FAILURE_SCORE
 
 
 def _sentence(scores: Mapping[str, Mapping[str, float]]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,11 +20,6 @@ LEAST_PT = 10.5
 PT_PER_IN = 0.76  # of the figure's width: a wide table is shown smaller, so its text is larger
 WITHIN = 0.95  # share of the cells within the colour scale
 TOTAL = "sum"
-
-
-def write_heat(path: Path, terms: Mapping[str, Mapping[str, float]], title: str) -> Path:
-    """Write the figure of `draw_heat` to `path` as PNG."""
-    return style.save(draw_heat(terms, title), path)
 
 
 def draw_heat(terms: Mapping[str, Mapping[str, float]], title: str) -> Figure:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,11 +14,6 @@ if TYPE_CHECKING:
 
 MS_PER_S = 1000.0
 BINS = 60
-
-
-def write_jitter(path: Path, late_s: Mapping[str, Sequence[float]], limit_s: float) -> Path:
-    """Write the figure of `draw_jitter` to `path` as PNG."""
-    return style.save(draw_jitter(late_s, limit_s), path)
 
 
 def draw_jitter(late_s: Mapping[str, Sequence[float]], limit_s: float) -> Figure:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -33,11 +32,6 @@ class WheelPicture(NamedTuple):
     residual_deg: NDArray[np.float64]
     dt_s: float
     span_s: tuple[float, float] | None
-
-
-def write_oscillation(path: Path, picture: WheelPicture) -> Path:
-    """Write the figure to `path` as PNG."""
-    return style.save(draw_oscillation(picture), path)
 
 
 def draw_oscillation(picture: WheelPicture) -> Figure:

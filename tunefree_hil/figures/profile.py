@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tunefree_hil.figures import style
@@ -31,16 +30,6 @@ GAP_IN = 0.2
 HATCHES = ("", "//", "..", "xx", "\\\\", "++")  # labels can be distinguished without colour
 
 
-def write_profile(path: Path, values: Values, title: str) -> Path:
-    """Write the figure of `draw_profile` to `path` as PNG."""
-    return style.save(draw_profile(values, title), path)
-
-
-def write_highlights(path: Path, values: Values, title: str) -> Path:
-    """Write the figure of `draw_highlights` to `path` as PNG."""
-    return style.save(draw_highlights(values, title), path)
-
-
 def draw_profile(values: Values, title: str) -> Figure:
     """Bars of all metrics, a panel an aspect; missing values are labelled."""
     groups = names_by_aspect()
@@ -59,12 +48,8 @@ def draw_profile(values: Values, title: str) -> Figure:
 def draw_highlights(values: Values, title: str) -> Figure:
     """Bars of the paper's nine highlighted metrics: four RMS, four peaks, compute time."""
     figure = style.new_figure(11.0, 1.9 + (BAR_IN * 1.3 * len(values) + GAP_IN) * len(HIGHLIGHTED))
-    _draw_panel(
-        figure.add_subplot(),
-        values,
-        HIGHLIGHTED,
-        "dimensionless, lower is better; a peak of 1 is its published threshold",
-    )
+    panel_title = "dimensionless, lower is better; a peak of 1 is its published threshold"
+    _draw_panel(figure.add_subplot(), values, HIGHLIGHTED, panel_title)
     _finish(figure, values, title)
     return figure
 
@@ -77,13 +62,9 @@ def _finish(figure: Figure, values: Values, title: str) -> None:
             Patch(facecolor=look.colour, hatch=hatch, edgecolor="white", label=label)
             for label, (look, hatch) in _looks(values).items()
         ]
-        figure.legend(
-            handles=handles,
-            loc="outside lower center",
-            ncols=min(3, len(values)),
-            fontsize=style.FONT_PT,
-            frameon=False,
-        )
+        columns = min(3, len(values))
+        place = "outside lower center"
+        figure.legend(handles=handles, loc=place, ncols=columns, fontsize=style.FONT_PT, frameon=False)
     style.headline(figure, title)
 
 
@@ -105,12 +86,10 @@ def _draw_panel(axes: Axes, values: Values, names: Sequence[str], title: str) ->
             text = " not available" if value is None else f" {style.number(value)}"
             colour = style.FAINT if value is None else style.INK
             axes.text(_known(value), position, text, va="center", fontsize=style.FONT_PT - 2.5, color=colour)
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(len(names) - 0.45, -0.55)
     axes.set_xlim(0.0, 1.18 * end)
     style.dress(axes, "", "", title)
+    style.name_bars(axes, names)
     axes.tick_params(axis="y", labelsize=style.FONT_PT - 2.0)
-    axes.grid(False, axis="y")
 
 
 def _known(value: float | None) -> float:

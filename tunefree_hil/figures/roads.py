@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,11 +21,6 @@ TITLES = (
     *("path (m)", "speed (m/s)", "curvature (1/m)"),
     *("lateral acceleration (m/s²)", "acceleration (m/s²)", "slope, friction (%)"),
 )
-
-
-def write_roads_figure(path: Path, courses: Mapping[str, Course]) -> Path:
-    """Write the figure of roads by name to `path` as PNG."""
-    return style.save(draw_roads(courses), path)
 
 
 def draw_roads(courses: Mapping[str, Course]) -> Figure:

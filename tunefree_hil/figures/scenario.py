@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tunefree_hil.figures import style
+from tunefree_hil.grade.score import FINISHED
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,13 +25,18 @@ class DrivePicture(NamedTuple):
     """One drive: `label` ("manual ...", "tuned ..." keep their colours), columns by the names of
     docs/reference/files.md.
 
-    Columns have one row a tick and may be missing; t_s must be there. outcome: why it ended early, or empty.
+    Columns have one row a tick and may be missing; t_s must be there. outcome: why it ended; '' where unknown.
     """
 
     label: str
     columns: Mapping[str, Sequence[float] | NDArray[np.float64]]
     score: float | None = None
     outcome: str = ""
+
+    @property
+    def early_end(self) -> str:
+        """Outcome of a drive that ended early; '' for any other drive."""
+        return "" if self.outcome == FINISHED else self.outcome
 
 
 class Panel(NamedTuple):
@@ -49,11 +54,6 @@ PANELS = (
     Panel("speed_mps", "speed\n(km/h)", KPH_PER_MPS, "ref_speed_mps"),
     Panel("out_steer_rad", "steering\nwheel (°)", DEG_PER_RAD),
 )
-
-
-def write_scenario(path: Path, name: str, drives: Sequence[DrivePicture]) -> Path:
-    """Write the figure of scenario `name` to `path` as PNG."""
-    return style.save(draw_scenario(name, drives), path)
 
 
 def draw_scenario(name: str, drives: Sequence[DrivePicture]) -> Figure:
@@ -112,11 +112,12 @@ def _draw_path(axes: Axes, drives: Sequence[DrivePicture], series: Mapping[str, 
         score = "" if drive.score is None else f", score {style.number(drive.score)}"
         style.line(axes, x, y, series[drive.label], drive.label + score)
         rows = _replan_rows(drive)
-        _mark(axes, x[rows], y[rows], series[drive.label].colour, "v", 11.0)
-        if drive.outcome:
-            _mark(axes, x[-1:], y[-1:], series[drive.label].colour, "X", 12.0, f"{drive.label}: {drive.outcome}")
+        _mark(axes, x[rows], y[rows], series[drive.label].colour, marker="v", markersize=11.0)
+        if drive.early_end:
+            label = f"{drive.label}: {drive.early_end}"
+            _mark(axes, x[-1:], y[-1:], series[drive.label].colour, marker="X", markersize=12.0, label=label)
     if any(_replan_rows(drive).size for drive in drives):
-        _mark(axes, [], [], style.FAINT, "v", 11.0, "re-plan")
+        _mark(axes, [], [], style.FAINT, marker="v", markersize=11.0, label="re-plan")
     note = _scale(axes)
     style.dress(axes, "x (m)", f"y (m){note}", "path, seen from above")
     if not axes.has_data():
@@ -141,9 +142,9 @@ def _draw_panel(axes: Axes, panel: Panel, drives: Sequence[DrivePicture], series
         drawn, look, shown = True, series[drive.label], values * panel.factor
         style.line(axes, time_s, shown, look)
         rows = _replan_rows(drive)
-        _mark(axes, time_s[rows], shown[rows], look.colour, "v", 10.0)
-        if drive.outcome:
-            _mark(axes, time_s[-1:], shown[-1:], look.colour, "X", 11.0)
+        _mark(axes, time_s[rows], shown[rows], look.colour, marker="v", markersize=10.0)
+        if drive.early_end:
+            _mark(axes, time_s[-1:], shown[-1:], look.colour, marker="X", markersize=11.0)
     if not drawn:
         style.say_missing(axes, panel.label.replace("\n", " "))
     _draw_reference(axes, panel, drives)
@@ -164,7 +165,5 @@ def _draw_reference(axes: Axes, panel: Panel, drives: Sequence[DrivePicture]) ->
             axes.axhline(limit, color=style.FAINT, linestyle=(0, (2, 2)), linewidth=1.4)
 
 
-def _mark(axes: Axes, x: ArrayLike, y: ArrayLike, colour: str, marker: str, size: float, label: str = "_") -> None:
-    axes.plot(
-        x, y, color=colour, marker=marker, markersize=size, linestyle="", markeredgecolor="white", label=label, zorder=5
-    )
+def _mark(axes: Axes, x: ArrayLike, y: ArrayLike, colour: str, **marker: Any) -> None:
+    axes.plot(x, y, color=colour, linestyle="", markeredgecolor="white", zorder=5, **{"label": "_", **marker})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -26,11 +25,6 @@ class Series(NamedTuple):
     time_s: NDArray[np.float64]
     values: NDArray[np.float64]
     gap_s: float
-
-
-def write_signals(path: Path, title: str, series: Sequence[Series]) -> Path:
-    """Write the figure to `path` as PNG."""
-    return style.save(draw_signals(title, series), path)
 
 
 def draw_signals(title: str, series: Sequence[Series]) -> Figure:

@@ -91,6 +91,18 @@ def line(axes: Axes, x: Any, y: Any, look: Look, label: str = "") -> None:
     axes.plot(x, y, color=look.colour, linestyle=look.dash, linewidth=look.width, label=label or "_")
 
 
+def name_bars(axes: Axes, names: Sequence[str], edge: float = 0.45) -> None:
+    """Name the rows of a panel of horizontal bars, the first on top; after `dress`, whose lines between them go."""
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - edge, edge - 1.0)
+    axes.grid(False, axis="y")
+
+
+def with_unit(name: str, unit: str) -> str:
+    """'speed (m/s)'; a dimensionless quantity (unit "1" or "") has its name only."""
+    return f"{name} ({unit})" if unit not in ("", "1") else name
+
+
 def legend_below(figure: Figure, axes: Axes, columns: int) -> None:
     """The legend of `axes` under everything, so that it hides nothing."""
     handles, labels = axes.get_legend_handles_labels()

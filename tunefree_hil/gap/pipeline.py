@@ -37,10 +37,11 @@ from tunefree_hil.gap.measured.observability import find_unobservable_links, fin
 from tunefree_hil.gap.model.graph import load_catalogue
 from tunefree_hil.gap.progress import SearchProgress, SearchStage
 from tunefree_hil.gap.selection.baseline_misfit import NO_BASELINE, BaselineMisfit, baseline_of_model
+from tunefree_hil.gap.selection.candidate_reasons import remaining_reasons, score_reasons, step_reasons
 from tunefree_hil.gap.selection.criteria import CRITERIA, CandidateScore
-from tunefree_hil.gap.selection.equivalence import add_easily_confused, find_inseparable
+from tunefree_hil.gap.selection.equivalence import add_easily_confused, find_inseparable, has_lateral_acceleration
 from tunefree_hil.gap.selection.model_misfit import ModelMisfit, SearchContext, assess_model, mark_broken_targets
-from tunefree_hil.gap.selection.reasons import NAMED, Reason, Verdict, VerdictKind
+from tunefree_hil.gap.selection.reasons import NAMED, Criterion, Reason, RejectionStage, Verdict, VerdictKind
 from tunefree_hil.gap.selection.rejection import SelectionOutcome
 from tunefree_hil.gap.selection.scoring import explained_targets
 from tunefree_hil.gap.selection.search import fit_and_score, select_effects
@@ -96,9 +97,10 @@ class Diagnosis(NamedTuple):
         repaired: the model with the effects; the recalibrated one where there are none.
         lack_of_fit_after: by target, what `repaired` leaves.
         unobservable_links, unobservable_ports: what these logs cannot show, with the reason.
-        unmoving: effects of which no value moves anything that is compared.
+        unmoving: why effects cannot show, of which no value moves anything that is compared.
         baseline: what the model misses on its calibration logs.
         rejected: why effects of the search were dropped, or are not new.
+        rejected_candidates: why the other candidates are not named, each with the stage of the search.
         unexplained_beside: broken targets that the named effects do not work on.
         day_sized: named effects no larger than a day's change.
         inseparable: by named effect, those that no log of this car separates from it.
@@ -119,9 +121,10 @@ class Diagnosis(NamedTuple):
     separate_by: str = ""
     links_after: tuple[LinkResidual, ...] = ()
     candidates: tuple[CandidateScore, ...] = ()
-    unmoving: tuple[str, ...] = ()
+    unmoving: tuple[Reason, ...] = ()
     baseline: BaselineMisfit = NO_BASELINE
     rejected: tuple[Reason, ...] = ()
+    rejected_candidates: tuple[Reason, ...] = ()
     unexplained_beside: tuple[LinkResidual, ...] = ()
     day_sized: tuple[str, ...] = ()
     inseparable: Mapping[str, tuple[str, ...]] = {}
@@ -253,7 +256,7 @@ def make_diagnosis(
     """Gather what belongs to a verdict. scores: every candidate scored alone."""
     pool, drives, links = search.pool, search.drives, search.recalibrated.links
     verdict, steps = decision.verdict, decision.steps
-    impossible = {**search.problem.untestable_effects, **pool.impossible_candidates}
+    untestable = {**search.problem.untestable_effects, **pool.impossible_candidates}
     location = _describe_location(pool, search.problem, links, steps)
     link = links_of(load_catalogue()[steps[0].name])[0] if steps else location.residual.link if location else None
     effects = _found_effects(search, steps, outcome.repaired) if verdict.kind in NAMED else ()
@@ -266,7 +269,7 @@ def make_diagnosis(
         links_after=tuple(outcome.links_with_all_steps),
         excitation=decision.excitation,
         candidates=tuple(scores),
-        problem=search.problem._replace(untestable_effects=impossible),
+        problem=search.problem._replace(untestable_effects=untestable),
         repaired=outcome.repaired,
         lack_of_fit_after=outcome.misfit.lack_of_fit,
         unobservable_links=find_unobservable_links(drives),
@@ -274,11 +277,30 @@ def make_diagnosis(
         unmoving=_find_unmoving(pool, verdict.names),
         baseline=search.baseline,
         rejected=(*outcome.dropped, *outcome.known),
+        rejected_candidates=_reject_candidates(search, scores, outcome, decision),
         inseparable=find_inseparable(verdict.names, drives),
         drive_differences=_drive_differences(search, outcome.repaired),
     )
     diagnosis = diagnosis._replace(separate_by=_separating_manoeuvre(diagnosis.set_names))
     return _with_remarks(search, diagnosis, outcome) if effects else diagnosis
+
+
+def _reject_candidates(
+    search: Search, scores: list[CandidateScore], outcome: SelectionOutcome, decision: DecidedVerdict
+) -> tuple[Reason, ...]:
+    """Why each candidate is not named, with those that the verdict and the dropped effects have no reason for."""
+    verdict, impossible = decision.verdict, search.pool.impossible_candidates
+    steps = () if verdict.names else decision.steps
+    reasons = (
+        *(reason for reason in search.pool.unfitted_beside(None) if reason.name not in impossible),
+        *score_reasons(scores, RejectionStage.SCAN),
+        *outcome.rejected_candidates,
+        *step_reasons(steps, verdict.reasons),
+    )
+    written = (*verdict.reasons, *outcome.dropped, *outcome.known, *reasons)
+    covered = {*verdict.names, *(reason.name for reason in written)}
+    has_lateral = has_lateral_acceleration(search.drives)
+    return (*reasons, *remaining_reasons(scores, outcome.new_effects, covered, has_lateral))
 
 
 def _with_remarks(search: Search, diagnosis: Diagnosis, outcome: SelectionOutcome) -> Diagnosis:
@@ -309,12 +331,13 @@ def _drive_differences(search: Search, model: FitSummary) -> Mapping[str, float]
     return inconsistent_daily_effects(model.fit, search.blocks, search.problem.blocks.drives[search.blocks])
 
 
-def _find_unmoving(pool: WorkerPool, names: Sequence[str]) -> tuple[str, ...]:
+def _find_unmoving(pool: WorkerPool, names: Sequence[str]) -> tuple[Reason, ...]:
     """The candidates, but for the named ones, of which no value moves `min_explained_share` of any target."""
+    least, stage = CRITERIA.min_explained_share, RejectionStage.UNTESTABLE
     return tuple(
-        name
+        Reason(Criterion.UNMOVING, name, share, least, stage=stage)
         for name, share in pool.max_effect_shares.items()
-        if share < CRITERIA.min_explained_share and name not in names
+        if share < least and name not in names
     )
 
 

@@ -18,8 +18,9 @@ from tunefree_hil.gap.measured.excitation import Excitation
 from tunefree_hil.gap.measured.observability import find_untestable_effects
 from tunefree_hil.gap.model.graph import load_catalogue
 from tunefree_hil.gap.pipeline import Diagnosis, FoundEffect
-from tunefree_hil.gap.result_text import UNTESTABLE, diagnosis_texts, few_blocks_text, lacking_text
-from tunefree_hil.gap.selection.criteria import CRITERIA, CandidateScore
+from tunefree_hil.gap.result_text import diagnosis_texts, few_blocks_text, lacking_text, reason_text
+from tunefree_hil.gap.selection.candidate_reasons import excitation_reasons
+from tunefree_hil.gap.selection.criteria import CandidateScore
 from tunefree_hil.gap.selection.reasons import Criterion, Reason, VerdictKind, reason_entry
 from tunefree_hil.gap.workers.worker import FitSummary
 from tunefree_hil.learn.model_folder import plain_data
@@ -134,7 +135,7 @@ def answer_entries(diagnosis: Diagnosis, kind: str = "physics") -> dict[str, Any
 
     Where nothing is missing and no effect could have been seen, the verdict is that these logs cannot tell.
     """
-    untestable = _untestable_effects(diagnosis)
+    untestable = {name: reason_text(reason) for name, reason in _untestable_effects(diagnosis).items()}
     verdict = diagnosis.verdict.kind.value
     answer = {
         "verdict": verdict or None,
@@ -155,40 +156,58 @@ def answer_entries(diagnosis: Diagnosis, kind: str = "physics") -> dict[str, Any
         ],
         "untold": untestable,
         "lost": {link.value: reason for link, reason in diagnosis.unobservable_links.items()},
-        "not_suspected": dict(diagnosis.problem.untestable_effects),
+        "not_suspected": {name: reason_text(reason) for name, reason in diagnosis.problem.untestable_effects.items()},
         "candidates": [_candidate_entry(score) for score in diagnosis.candidates],
         "words": [
             *diagnosis_texts(diagnosis),
             *_few_blocks_texts(diagnosis),
             *dict.fromkeys(diagnosis.unobservable_ports.values()),
         ],
-        "reasons": [reason_entry(reason) for reason in (*diagnosis.verdict.reasons, *diagnosis.rejected)],
+        "reasons": [reason_entry(reason) for reason in (*_verdict_reasons(diagnosis), *candidate_reasons(diagnosis))],
         "moved": [bound.text for bound in _parameters_at_bound(diagnosis)],
     }
     is_blind = not any(entry["enough"] for entry in answer["excitation"].values())
-    return answer | (_blind_entries(answer) if diagnosis.verdict.kind is VerdictKind.NONE_MISSING and is_blind else {})
+    is_blind = is_blind and diagnosis.verdict.kind is VerdictKind.NONE_MISSING
+    return answer | (_blind_entries(answer, diagnosis) if is_blind else {})
 
 
-def _blind_entries(answer: Mapping[str, Any]) -> dict[str, Any]:
+def _verdict_reasons(diagnosis: Diagnosis) -> tuple[Reason, ...]:
+    return (*diagnosis.verdict.reasons, *diagnosis.rejected)
+
+
+def candidate_reasons(diagnosis: Diagnosis) -> tuple[Reason, ...]:
+    """Why each effect of the catalogue is not named: what these logs cannot show, and what the search rejected."""
+    reasons = (
+        *diagnosis.problem.untestable_effects.values(),
+        *_untestable_effects(diagnosis).values(),
+        *excitation_reasons(diagnosis.excitation),
+    )
+    names = diagnosis.verdict.names
+    return (*(reason for reason in reasons if reason.name not in names), *diagnosis.rejected_candidates)
+
+
+def _blind_entries(answer: Mapping[str, Any], diagnosis: Diagnosis) -> dict[str, Any]:
     """Keys where no effect could have been seen."""
+    reasons = (Reason(Criterion.NOTHING_VISIBLE), *candidate_reasons(diagnosis))
     return {
         "verdict": VerdictKind.CANNOT_TEST.value,
         "absorbed": False,
         "words": [lacking_text(answer["excitation"])],
-        "reasons": [reason_entry(Reason(Criterion.NOTHING_VISIBLE))],
+        "reasons": [reason_entry(reason) for reason in reasons],
     }
 
 
-def _untestable_effects(diagnosis: Diagnosis) -> dict[str, str]:
-    """Effects that these logs cannot show, with the reason."""
-    unmoving = dict.fromkeys(diagnosis.unmoving, UNTESTABLE.format(share=CRITERIA.min_explained_share))
+def _untestable_effects(diagnosis: Diagnosis) -> dict[str, Reason]:
+    """Why these logs cannot show effects."""
+    unmoving = {reason.name: reason for reason in diagnosis.unmoving}
     links, ports = diagnosis.unobservable_links, diagnosis.unobservable_ports
     return {**unmoving, **find_untestable_effects(load_catalogue(), links, ports)}
 
 
 def _excitation_entry(excitation: Excitation, untestable: str) -> dict[str, Any]:
     """Whether the logs hold what shows an effect. untestable: why they cannot show it anyhow; "" where they can."""
-    lacks = [*excitation.shortages, untestable] if untestable else list(excitation.shortages)
+    shortages = [shortage.text for shortage in excitation.shortages]
+    lacks = [*shortages, untestable] if untestable else shortages
     return {"score": _finite(excitation.score), "enough": excitation.is_sufficient and not untestable, "lacks": lacks}
 
 

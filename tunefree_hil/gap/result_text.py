@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from tunefree_hil.gap.selection.reasons import NAMED, Criterion, Reason, Verdict, VerdictKind
+from tunefree_hil.gap.measured.excitation import Shortage
+from tunefree_hil.gap.selection.reasons import NAMED, Criterion, Reason, RejectionStage, Verdict, VerdictKind
 
 if TYPE_CHECKING:
     from tunefree_hil.gap.measured.excitation import Excitation
     from tunefree_hil.gap.pipeline import Diagnosis
     from tunefree_hil.gap.selection.baseline_misfit import BaselineMisfit
-
-UNTESTABLE = "no value of it that a car has moves any compared signal by {share:.1%} of that signal"
 
 
 def diagnosis_texts(diagnosis: Diagnosis) -> tuple[str, ...]:
@@ -32,7 +31,7 @@ def verdict_texts(verdict: Verdict, excitation: Mapping[str, Excitation]) -> tup
     """The reasons of a verdict. excitation: of each effect, what the logs lack to show it."""
     reasons = verdict.reasons
     if verdict.kind in NAMED:
-        lacking = [f"{name}: {lack}" for name in verdict.names for lack in excitation[name].shortages]
+        lacking = [f"{name}: {lack}" for name in verdict.names for lack in _shortage_texts(excitation[name])]
         return (*lacking, *(reason_text(reason) for reason in reasons))
     if verdict.kind is VerdictKind.SET:
         return tuple(_set_text(reason, excitation[reason.name]) for reason in reasons)
@@ -45,8 +44,12 @@ def verdict_texts(verdict: Verdict, excitation: Mapping[str, Excitation]) -> tup
 def _set_text(reason: Reason, excited: Excitation) -> str:
     if not reason.others:
         return f"{reason.name} beside them"
-    why = f": {'; '.join(excited.shortages)}" if excited.shortages else ""
+    why = f": {'; '.join(_shortage_texts(excited))}" if excited.shortages else ""
     return f"{reason.name} explains these logs as well as {', '.join(reason.others)}{why}"
+
+
+def _shortage_texts(excited: Excitation) -> list[str]:
+    return [shortage.text for shortage in excited.shortages]
 
 
 def reason_text(reason: Reason) -> str:
@@ -71,6 +74,15 @@ def _known(reason: Reason) -> str:
 
 
 TEXTS: Mapping[Criterion, Callable[[Reason], str]] = {
+    Criterion.UNSUPPORTED: lambda r: r.note,
+    Criterion.NO_SENSOR: lambda r: f"no {r.key}: the yaw rate of the chassis is computed from its wheel speeds",
+    Criterion.IMPOSSIBLE: lambda r: r.note,
+    Criterion.UNMOVING: lambda r: (
+        f"no value of it that a car has moves any compared signal by {r.limit:.1%} of that signal"
+    ),
+    Criterion.UNOBSERVABLE: lambda r: r.note,
+    Criterion.NOT_EXCITED: lambda r: Shortage(r.key, r.value or 0.0, r.limit or 0.0).text,
+    Criterion.LOG_WITHOUT_SPEED: lambda r: f"{r.key} holds no speed and is left out",
     Criterion.BETTER_REJECTED: lambda r: (
         f"{r.name} would explain it, but {r.others[0]} explains more and fails a criterion (docs/reference/gap.md)"
     ),
@@ -102,6 +114,66 @@ TEXTS: Mapping[Criterion, Callable[[Reason], str]] = {
         "and no effect explains that"
     ),
     Criterion.NOTHING_BROKEN: lambda _: "nothing beyond noise and recalibration",
+}
+
+
+def candidate_text(reason: Reason) -> str:
+    """Why a search does not name a candidate, with the effects beside it; a number that is not known is '?'."""
+    make = SCORE_TEXTS.get(reason.criterion)
+    text = make(reason, _figure(reason.value), _figure(reason.limit)) if make else reason_text(reason)
+    text = text or reason.criterion.value.replace("_", " ")
+    where = STAGE_TEXTS[reason.stage] if reason.stage else ""
+    beside = f"beside {' and '.join(reason.beside)}" if reason.beside else ""
+    return f"{' '.join(part for part in (reason.name, where, beside) if part)}: {text}"
+
+
+def _figure(number: float | None) -> str:
+    return "?" if number is None else f"{number:.3g}"
+
+
+STAGE_TEXTS: Mapping[RejectionStage, str] = {
+    RejectionStage.UNTESTABLE: "cannot be tested",
+    RejectionStage.SCREENING: "is not fitted",
+    RejectionStage.SCAN: "alone",
+    RejectionStage.FORWARD: "added",
+    RejectionStage.BACKWARD: "taken out again",
+    RejectionStage.SETTLING: "in the place of another effect",
+    RejectionStage.SELECTION: "is not named",
+}
+# Of a candidate's own score (criteria.py), and of its screening: (reason, value, limit) -> text
+SCORE_TEXTS: Mapping[Criterion, Callable[[Reason, str, str], str]] = {
+    Criterion.EVIDENCE: lambda _, value, limit: f"its evidence is {value} nats, more than {limit} are needed",
+    Criterion.PREDICTIVE_GAIN: lambda _, value, limit: (
+        f"its cross-validated gain is {value} nats, more than {limit} are needed"
+    ),
+    Criterion.PREDICTIVE_GAIN_BOUND: lambda _, value, limit: (
+        f"its cross-validated gain may be {value} nats only, more than {limit} are needed"
+    ),
+    Criterion.GAIN_NOISE: lambda _, value, limit: (
+        f"its cross-validated gain of {value} nats is no more than noise between blocks, {limit}"
+    ),
+    Criterion.EXPLAINED_SHARE: lambda r, value, limit: (
+        f"it explains {value} of {r.key} as a share of the signal, more than {limit} is needed"
+    ),
+    Criterion.ERROR_REDUCTION: lambda r, value, limit: (
+        f"it removes {value} of the error of {r.key} as a share, more than {limit} is needed"
+    ),
+    Criterion.SINGLE_BLOCK: lambda r, value, limit: (
+        f"one block decides: it may remove {value} only of the error of {r.key} as a share, {limit} is needed"
+    ),
+    Criterion.DEGRADATION: lambda _, value, limit: (
+        f"another signal's mean square error grows by {value} of itself, less than {limit} is allowed"
+    ),
+    Criterion.BROKEN_DEGRADATION: lambda _, value, limit: (
+        f"the mean square error of a signal that is missed grows by {value} of itself, less than {limit} is allowed"
+    ),
+    Criterion.OUTSCORED: lambda r, value, limit: (
+        f"its evidence is {value} nats, and that of {' and '.join(r.others)} {limit}"
+    ),
+    Criterion.INDISTINGUISHABLE: lambda r, _, limit: f"these logs cannot tell it from {' and '.join(r.others)}",
+    Criterion.SCREENED: lambda _, value, limit: (
+        f"its best grid point removes {value} squared residuals in units of the noise, more than {limit} are needed"
+    ),
 }
 
 

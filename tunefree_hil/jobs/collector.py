@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
+from tunefree_hil.jobs.options.nodes import NodeLink
 
 if TYPE_CHECKING:
     from tunefree_hil.bench import Bench
@@ -48,17 +49,10 @@ def read_plan(path: Path) -> DrivePlan:
     return plan_from_dict(data, str(path))
 
 
-def collector(bench: Path, *, bus: str, bench_bus: str, session: str, realtime: bool) -> Iterator[Event]:
+def collector(bench: Path, link: NodeLink) -> Iterator[Event]:
     """Serve the drives of a collection until the runner ends the node or the bus is lost."""
     from tunefree_hil.jobs.running.node_main import serve_controller
+    from tunefree_hil.nodes.node import Announcement
 
-    yield from serve_controller(
-        bench,
-        PlannerAssigner,
-        "collector",
-        "collector",
-        bus=bus,
-        bench_bus=bench_bus,
-        session=session,
-        realtime=realtime,
-    )
+    announcement = Announcement("collector")
+    yield from serve_controller(bench, link, "collector", PlannerAssigner, lambda parts: announcement)

@@ -165,7 +165,8 @@ def _check_start(file: Path, known: Sequence[DoctorFinding]) -> list[DoctorFindi
     """Faults that `drive` and `tune` detect before they start a process, without the known ones; each once."""
     from tunefree_hil.bench import ControllerFor, load, parameters_of, require_buildable
     from tunefree_hil.control.parameters import NAMES
-    from tunefree_hil.jobs.tune.options import TuneOptions, make_tune_plan
+    from tunefree_hil.jobs.options.records import TuneOptions
+    from tunefree_hil.jobs.tune.options import make_tune_plan
 
     findings: list[DoctorFinding] = []
     bench = _try_loading(findings, lambda: load(file))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +12,6 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import (
     Bench,
-    is_heavy,
     load,
     model_of,
     own_parameters,
@@ -27,33 +27,16 @@ from tunefree_hil.grade.score import FINISHED, combine_scores
 from tunefree_hil.jobs.command_text import shell_command
 from tunefree_hil.jobs.identity import compute_identity, resolved_toml
 from tunefree_hil.jobs.learn.report_text import describe_model, describe_outside, measure_outside, warn_of_outside
-from tunefree_hil.jobs.report_text import early_end
+from tunefree_hil.jobs.options.records import DriveOptions
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder, write_text
 from tunefree_hil.jobs.running.episode_results import EpisodeResult, reception_warnings
-from tunefree_hil.jobs.running.foreign import controller_program, joined_controller_name, with_controller_command
+from tunefree_hil.jobs.running.foreign import joined_controller_name, make_launch, with_controller_command
 from tunefree_hil.jobs.running.lateness import judge_realtime
 from tunefree_hil.jobs.running.node_links import resolve_vehicle_bus
 from tunefree_hil.jobs.running.session import BenchSession
 from tunefree_hil.jobs.running.trial_driver import TrialDriver
 
 DEFAULT_ROOT = Path("runs")
-
-
-class DriveOptions(NamedTuple):
-    """Options of `drive`. scenario: empty for all of the bench file; session: '' for a new one."""
-
-    bench: Path
-    scenario: Sequence[str] = ()
-    model: str | None = None
-    bus: str = "auto"
-    bench_bus: str = ""
-    seed: int | None = None
-    realtime: bool = False
-    join: bool = False
-    session: str = ""
-    out: Path | None = None
-    parameters: Sequence[str] = ()
-    controller: str = ""
 
 
 class ResolvedDrive(NamedTuple):
@@ -74,15 +57,7 @@ def drive(options: DriveOptions) -> Iterator[Event]:
     yield Event("note", f"run folder {run.path}")
     yield Event("note", describe_model(model_of(resolved.bench, resolved.model)))
     episodes, pace = yield from _drive_scenarios(resolved, run)
-    figures = draw_drives(run, episodes)
-    numbers, faults = range(len(resolved.scenarios)), resolved.bench.spec.faults
-    verdict = judge_realtime(run, numbers, resolved.bench.codec, faults=faults) if options.realtime else None
-    score = combine_scores([episode.grade for episode in episodes.values()])
-    run.finish(score=score, frame_hashes={name: episode.hash for name, episode in episodes.items()})
-    beyond = measure_outside(
-        resolved.bench, resolved.model, {name: episode.recording for name, episode in episodes.items()}
-    )
-    yield _result(run, episodes, score, figures, verdict, {**pace, "outside": beyond})
+    yield _finish(resolved, run, episodes, pace)
 
 
 def _resolve_options(options: DriveOptions) -> ResolvedDrive:
@@ -113,29 +88,17 @@ def _drive_scenarios(
 ) -> Generator[Event, None, tuple[dict[str, EpisodeResult], dict[str, float]]]:
     """Drive all scenarios. Returns the episodes by scenario, and the speed (TrialDriver.pace)."""
     options, bench = resolved.options, resolved.bench
-    with BenchSession(
-        run.path / "bench.toml",
-        run.node_output(),
-        session=resolved.session,
-        model=resolved.model,
-        bus=options.bus,
-        bench_bus=options.bench_bus,
-        realtime=options.realtime,
-        join=options.join,
-        jitted_ecu=is_heavy(bench, resolved.model),
-        controller_command=controller_program(bench),
-    ) as session:
+    bus = {"bus": options.bus, "bench_bus": options.bench_bus, "join": options.join, "realtime": options.realtime}
+    launch = make_launch(bench, resolved.model, session=resolved.session, **bus)
+    with BenchSession(run.path / "bench.toml", run.node_output(), launch) as session:
         yield Event("note", f"bus: {session.choice.why}")
         if options.join:
             run.add_to_record(**{JOINED: joined_controller_name([session])})
-        driver = TrialDriver(session, bench, run, seed=options.seed)
         episodes: dict[str, EpisodeResult] = {}
-        try:
+        with closing(TrialDriver(session, bench, run, seed=options.seed)) as driver:
             for i, scenario in enumerate(resolved.scenarios):
                 episodes |= driver.drive_scenarios(resolved.values, [scenario], i)
                 yield from _report_scenario(resolved, run, i, episodes[scenario.name], driver.pace)
-        finally:
-            driver.close()
         yield from (Event("warning", text) for text in session.notes)
     return episodes, driver.pace
 
@@ -166,12 +129,8 @@ def parse_parameters(texts: Iterable[str], extra_names: Iterable[str] = ()) -> d
     for text in texts:
         name, _, value = text.partition("=")
         if name not in known:
-            raise InputError(
-                f"unknown parameter {name!r}",
-                code="unknown_parameter",
-                key="--parameter",
-                hint=f"one of {', '.join(known)}",
-            )
+            message = f"unknown parameter {name!r}"
+            raise InputError(message, code="unknown_parameter", key="--parameter", hint=f"one of {', '.join(known)}")
         try:
             chosen[name] = float(value)
         except ValueError:
@@ -188,15 +147,15 @@ def find_scenario(bench: Bench, name: str) -> ScenarioSpec:
     return known[name] if name in known else load_scenario(name, bench.file)
 
 
-def draw_drives(run: RunFolder, episodes: Mapping[str, EpisodeResult], label: str = "drive") -> list[str]:
+def draw_drives(run: RunFolder, episodes: Mapping[str, EpisodeResult]) -> list[str]:
     """Draw one figure a scenario."""
-    from tunefree_hil.figures.scenario import DrivePicture, write_scenario
+    from tunefree_hil.figures.scenario import DrivePicture, draw_scenario
+    from tunefree_hil.figures.style import save
 
     written = []
     for name, episode in episodes.items():
-        graded = episode.grade
-        shown = DrivePicture(label, episode.recording.columns, graded.score, early_end(graded.outcome))
-        written.append(str(write_scenario(run.figures() / f"{name}.png", name, [shown])))
+        shown = DrivePicture("drive", episode.recording.columns, episode.grade.score, episode.grade.outcome)
+        written.append(str(save(draw_scenario(name, [shown]), run.figures() / f"{name}.png")))
     return written
 
 
@@ -209,42 +168,40 @@ def _score_line(name: str, episode: EpisodeResult) -> str:
     return f"{name}: score {grade.score:.3f}{lateral}{replans}, {ended}"
 
 
-def _result(
-    run: RunFolder,
-    episodes: Mapping[str, EpisodeResult],
-    score: float,
-    figures: list[str],
-    verdict: dict[str, Any] | None,
-    more: dict[str, Any],
+def _finish(
+    resolved: ResolvedDrive, run: RunFolder, episodes: Mapping[str, EpisodeResult], pace: Mapping[str, float]
 ) -> Event:
-    """The result event. more: added to the data; the sentence mentions its "outside"."""
-    failed = [name for name, episode in episodes.items() if episode.grade.outcome != FINISHED]
-    count = "1 scenario" if len(episodes) == 1 else f"{len(episodes)} scenarios"
-    sentence = f"{count} driven, score {score:.3f}"
-    if failed:
-        sentence += f"; not driven to the end: {', '.join(failed)}"
-    beyond = describe_outside(more["outside"])
-    sentence += f"; {beyond}" if beyond else ""
+    """Draw the figures, judge real time, and mark the run complete. Returns the result event."""
+    bench, hashes = resolved.bench, {name: episode.hash for name, episode in episodes.items()}
+    figures = draw_drives(run, episodes)
+    verdict: dict[str, Any] = {}
+    if resolved.options.realtime:
+        verdict = judge_realtime(run, range(len(resolved.scenarios)), bench.codec, faults=bench.spec.faults)
+    score = combine_scores([episode.grade for episode in episodes.values()])
+    run.finish(score=score, frame_hashes=hashes)
+    outside = measure_outside(bench, resolved.model, {name: one.recording for name, one in episodes.items()})
+    foreign = {hex(can_id): count for episode in episodes.values() for can_id, count in episode.foreign.items()}
+    replay = [] if verdict else [shell_command("replay", run.path, verify=True)]
     data: dict[str, Any] = {
         "run": str(run.path),
         "score": score,
         "scenarios": {name: episode.grade.as_data() for name, episode in episodes.items()},
-        "hashes": {name: episode.hash for name, episode in episodes.items()},
+        "hashes": hashes,
         "figures": figures,
-        "next": [
-            shell_command("replay", run.path, verify=True),
-            shell_command("log check", run.path / "episodes" / "0" / "vehicle.log"),
-        ],
-        **more,
+        "next": [*replay, shell_command("log check", run.path / "episodes" / "0" / "vehicle.log")],
+        **pace,
+        "outside": outside,
     }
-    if verdict is not None:
-        data["realtime"] = verdict
-        sentence += f"; {verdict['sentence']}"
-        data["next"] = data["next"][1:]
-        if not verdict["valid"]:
-            data["exit"] = 4
-    foreign = {hex(can_id): count for episode in episodes.values() for can_id, count in episode.foreign.items()}
-    if foreign:
-        data["foreign_frames"] = foreign
-        sentence += f"; frames of other nodes on the bus: {foreign}"
+    data |= {"realtime": verdict} if verdict else {}
+    data |= {"exit": 4} if verdict and not verdict["valid"] else {}
+    data |= {"foreign_frames": foreign} if foreign else {}
+    failed = ", ".join(name for name, episode in episodes.items() if episode.grade.outcome != FINISHED)
+    parts = [
+        f"{len(episodes)} scenario{'' if len(episodes) == 1 else 's'} driven, score {score:.3f}",
+        f"not driven to the end: {failed}" if failed else "",
+        describe_outside(outside),
+        verdict.get("sentence", ""),
+        f"frames of other nodes on the bus: {foreign}" if foreign else "",
+    ]
+    sentence = "; ".join(part for part in parts if part)
     return Event("result", sentence, {"sentence": sentence, **data})

@@ -9,37 +9,30 @@ from tunefree_hil.base.clock import Clock
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.jobs.options.nodes import NodeLink
 from tunefree_hil.nodes.ecu import EcuPart
 from tunefree_hil.nodes.exchange import Exchange
 
 LEAD_S = 0.2  # from ready to tick 0
 
 
-def ecu(
-    bench: Path,
-    *,
-    model: str | None,
-    bus: str,
-    bench_bus: str,
-    session: str,
-    realtime: bool,
-    scenario: str | None = None,
-) -> Iterator[Event]:
+def ecu(bench: Path, link: NodeLink, *, model: str | None = None, scenario: str | None = None) -> Iterator[Event]:
     """Serve episodes on the bus until the runner ends the node or the bus is lost.
 
-    scenario: drive this one once in real time, without runner and bench channel, for any sender of command frames
-    (cansend, canplayer, a foreign controller).
+    Args:
+        scenario: Drive this one once in real time, without runner and bench channel, for any sender of command frames
+            (cansend, canplayer, a foreign controller).
     """
     from tunefree_hil.bench import VehicleFor, load
     from tunefree_hil.jobs.running.node_links import open_exchange, timing_folder
-    from tunefree_hil.nodes.node import Node
+    from tunefree_hil.nodes.node import Announcement, Node
     from tunefree_hil.nodes.timing import CycleTimes
 
     parts = load(bench)
     alone = (parts.scenarios.get(scenario) or load_scenario(scenario, parts.file)) if scenario else None
-    realtime = realtime or alone is not None
+    realtime = link.realtime or alone is not None
     assign = VehicleFor(parts, model or parts.spec.model, realtime=realtime, ahead=True)
-    with open_exchange(parts, "ecu", bus, bench_bus, session, realtime=realtime, alone=alone is not None) as opened:
+    with open_exchange(parts, "ecu", link._replace(realtime=realtime), alone=alone is not None) as opened:
         exchange, clock, bus_text = opened
         yield Event("note", f"ecu: {parts.vehicle.name} ({assign.model_name}) on {bus_text}")
         part = EcuPart(parts.codec, assign, CycleTimes(timing_folder()))
@@ -47,7 +40,7 @@ def ecu(
             yield Event("note", f"ecu: {alone.name}, {parts.course(alone).ticks * parts.dt_s:g} s, starts now")
             yield drive_alone(part, exchange, clock, alone)
             return
-        Node(part, exchange, assign.model_name, clock, realtime).serve()
+        Node(part, exchange, Announcement(assign.model_name), clock, realtime).serve()
     yield Event("result", "", {"sentence": "ecu: ended by the runner", "next": []})
 
 

@@ -13,20 +13,15 @@ def hub(*, session: str, clock: str, transport: str, owned: bool) -> Iterator[Ev
 
     In real time (clock = "real") it gets the same scheduling priority as the nodes.
     """
-    from tunefree_hil.bus.tfhub.address import HubInfo
-    from tunefree_hil.bus.tfhub.server.serve import say_on_stderr, serve
+    from tunefree_hil.bus.tfhub.server.hub import HubOptions
+    from tunefree_hil.bus.tfhub.server.serve import serve
     from tunefree_hil.nodes.priority import punctual
 
-    def announce(info: HubInfo) -> None:
-        where = ", ".join(f"{channel} {address}" for channel, address in info.addresses.items())
-        say_on_stderr(f"{info.session} runs, pid {info.pid}: {where}")
-
+    options = HubOptions(
+        transport="tcp" if transport == "tcp" else "unix",
+        clock="real" if clock == "real" else "sender",
+        standalone=not owned,
+    )
     with punctual() if clock == "real" else contextlib.nullcontext():
-        why = serve(
-            session,
-            transport="tcp" if transport == "tcp" else "unix",
-            clock="real" if clock == "real" else "sender",
-            standalone=not owned,
-            ready=announce,
-        )
+        why = serve(session, options)
     yield Event("result", "", {"sentence": f"hub {session} ended: {why}", "next": []})

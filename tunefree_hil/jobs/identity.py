@@ -33,7 +33,7 @@ def compute_identity(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]
     if user_parts := user_part_hashes(bench, model):
         hashes["parts"] = user_parts
     counted = [{key: value for key, value in hashes.items() if key != "bench"}, controller, disturbed]
-    return {"hashes": hashes, "identity": _sha256(json.dumps(counted, sort_keys=True).encode())}
+    return {"hashes": hashes, "identity": data_sha256(counted)}
 
 
 def user_part_hashes(bench: Bench, model: str) -> dict[str, str]:
@@ -87,6 +87,11 @@ def _portable_name(kind: str, name: str, near: str) -> str:
 def file_sha256(path: Path) -> str:
     """SHA-256 of a file, as in run.json."""
     return _sha256(path.read_bytes())
+
+
+def data_sha256(data: Any) -> str:
+    """SHA-256 of plain data, as JSON with sorted keys."""
+    return _sha256(json.dumps(data, sort_keys=True).encode())
 
 
 def _sha256(data: bytes) -> str:

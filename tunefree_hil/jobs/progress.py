@@ -35,6 +35,11 @@ def left_s(began: float, share: float) -> float | None:
     return (time.monotonic() - began) * (1.0 / share - 1.0) if share > 0.0 else None
 
 
+def count_data(label: str, done: float, total: float, began: float) -> dict[str, Any]:
+    """Data of a progress event: a count, and the time left at the rate since `began` (time.monotonic)."""
+    return {"label": label, "done": done, "total": total, "eta_s": left_s(began, done / total)}
+
+
 def progress_data(progress: SearchProgress, began: float) -> dict[str, Any]:
     """What an event says of how far a search of gap is; empty before any of its time is over."""
     share = progress.stage.value

@@ -9,14 +9,15 @@ from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import Bench, calibration_path, is_heavy, load, model_of
+from tunefree_hil.bench import Bench, calibration_path, load, model_of
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.episode.compare import compare_logs
 from tunefree_hil.episode.frame_hash import frame_hash
 from tunefree_hil.jobs.drive import find_scenario, new_session_name
 from tunefree_hil.jobs.identity import file_sha256, user_part_hashes
+from tunefree_hil.jobs.options.records import ReplayOptions
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, read_json
-from tunefree_hil.jobs.running.foreign import controller_program, program_hashes, require_foreign_controller
+from tunefree_hil.jobs.running.foreign import make_launch, program_hashes, require_foreign_controller
 from tunefree_hil.jobs.running.session import BenchSession
 
 EXIT_DIFFERENT = 1  # exit status
@@ -24,17 +25,15 @@ FILE_TEXTS = {"calibration": "open-loop map", "parts": "user modules"}  # texts 
 SUMMARY_KEYS = ("frame_hash", "parameters", "scenario", "seed")
 
 
-def replay(run: Path, *, episode: int | None, verify: bool) -> Iterator[Event]:
+def replay(options: ReplayOptions) -> Iterator[Event]:
     """Check the logs of a run; with `verify` drive its episodes again. Exit 1 when one differs."""
+    run, verify = options.run, options.verify
     folder = open_run(run)
     if folder.record.get("realtime"):
-        raise InputError(
-            "was driven in real time, which cannot be repeated bit for bit",
-            file=str(run),
-            hint="drive it in lockstep (without --realtime)",
-        )
+        message = "was driven in real time, which cannot be repeated bit for bit"
+        raise InputError(message, file=str(run), hint="drive it in lockstep (without --realtime)")
     bench = load(folder.bench_file())
-    numbers = _episode_numbers(folder, episode)
+    numbers = _episode_numbers(folder, options.episode)
     differing: list[dict[str, Any]] = []
     if verify:
         checks = _redrive_episodes(folder, bench, numbers)
@@ -96,16 +95,10 @@ def _redrive_episodes(
     model = folder.record.get("model") or bench.spec.model
     _require_same_files(folder, bench, model)
     require_foreign_controller(bench, _read_summary(folder, numbers[0])["parameters"], join=False)
+    launch = make_launch(bench, model, session=f"{new_session_name()}-replay")
     with (
         tempfile.TemporaryDirectory(prefix="tunefree-replay-") as scratch,
-        BenchSession(
-            folder.path / "bench.toml",
-            Path(scratch) / "nodes",
-            session=f"{new_session_name()}-replay",
-            model=model,
-            jitted_ecu=is_heavy(bench, model),
-            controller_command=controller_program(bench),
-        ) as session,
+        BenchSession(folder.path / "bench.toml", Path(scratch) / "nodes", launch) as session,
     ):
         for k in numbers:
             stored = _read_summary(folder, k)

@@ -24,11 +24,6 @@ def total_replans(drives: GradesByScenario) -> int:
     return sum(int(drive["replans"]) for drive in drives.values())
 
 
-def early_end(outcome: str) -> str:
-    """Outcome of a drive that ended early; '' for a finished one."""
-    return "" if outcome == FINISHED else outcome
-
-
 def failed_scenarios(drives: GradesByScenario) -> list[str]:
     """Scenarios that were not driven to their end."""
     return [name for name, drive in drives.items() if drive["outcome"] != FINISHED]

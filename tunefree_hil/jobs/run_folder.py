@@ -33,12 +33,8 @@ def write_text(path: Path, text: str) -> None:
         with contextlib.suppress(OSError):  # the part may not exist
             part.unlink(missing_ok=True)
         hint = "free some space" if error.errno in DISK_FULL_ERRORS else "check the folder and its permissions"
-        raise BenchError(
-            f"cannot write: {error.strerror}",
-            code="disk",
-            file=str(path),
-            hint=f"{hint}, then run the same command",
-        ) from error
+        hint += ", then run the same command"
+        raise BenchError(f"cannot write: {error.strerror}", code="disk", file=str(path), hint=hint) from error
 
 
 def write_json(path: Path, data: Any) -> None:
@@ -76,6 +72,11 @@ class RunFolder:
             i += 1
             path = root / f"{date}-{name}-{i}"
         prepare(path)
+        return cls.begin(path, record)
+
+    @classmethod
+    def begin(cls, path: Path, record: dict[str, Any]) -> RunFolder:
+        """Make a run of an existing folder, as `create` does."""
         run = cls(path, {"schema": SCHEMA, "versions": library_versions(), "complete": False, **record})
         write_json(path / "run.json", run.record)
         return run
@@ -155,21 +156,14 @@ def open_run(path: Path) -> RunFolder:
     record = read_json(file)
     schema = record.get("schema")
     if schema != SCHEMA:
-        raise InputError(
-            f"schema is {schema!r}, this version reads {SCHEMA!r}",
-            file=str(file),
-            key="schema",
-            hint="use the version of tunefree_hil that wrote it",
-        )
+        message = f"schema is {schema!r}, this version reads {SCHEMA!r}"
+        raise InputError(message, file=str(file), key="schema", hint="use the version of tunefree_hil that wrote it")
     made_with = record.get("versions")
     theirs = str(made_with.get("tunefree_hil", "?") if isinstance(made_with, dict) else "?")
     if theirs.split(".")[:2] != __version__.split(".")[:2]:
-        raise InputError(
-            f"written by tunefree_hil {theirs}, this is {__version__}",
-            file=str(file),
-            key="versions.tunefree_hil",
-            hint=f"install tunefree_hil {theirs}, or start a new run",
-        )
+        message = f"written by tunefree_hil {theirs}, this is {__version__}"
+        hint = f"install tunefree_hil {theirs}, or start a new run"
+        raise InputError(message, file=str(file), key="versions.tunefree_hil", hint=hint)
     return RunFolder(path, record)
 
 

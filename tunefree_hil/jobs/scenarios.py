@@ -78,10 +78,11 @@ def make_roads(*, vehicle: str | None, roads: str, seed: int, folder: Path | Non
 
 def _draw_roads(roads: Sequence[Any], vehicle: Any, folder: Path) -> Path:
     from tunefree_hil.episode.scenario import build_course
-    from tunefree_hil.figures.roads import write_roads_figure
+    from tunefree_hil.figures.roads import draw_roads
+    from tunefree_hil.figures.style import save
 
     courses = {road.name: build_course(road, vehicle.tick_ms / 1000.0) for road in roads}
-    return write_roads_figure(folder / "roads.png", courses)
+    return save(draw_roads(courses), folder / "roads.png")
 
 
 def write_reference_drive(course: Course, content_hash: str, folder: Path) -> Path:

@@ -14,7 +14,6 @@ import inspect
 import sys
 import threading
 from collections.abc import Callable, Generator
-from types import TracebackType
 from typing import Any, Literal, NamedTuple, ParamSpec, Self, TypeVar, overload
 
 from tunefree_hil.base.errors import PeerGone, TunefreeError
@@ -70,6 +69,15 @@ def run_request(request: CallRequest) -> Generator[CallReply, None, None]:
         yield CallReply("error", error)
 
 
+def exhaust(steps: Generator[Any, None, Result]) -> Result:
+    """The result of a generator, without its progress."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value
+
+
 class CompiledProcess:
     """A process with compiled kernels. It starts at the first call, and again at the first call after it was lost."""
 
@@ -123,12 +131,7 @@ class CompiledProcess:
 
     def wait_for_result(self, function: Callable[..., Any], *args: Any) -> Any:
         """The result of a call, without its progress. Arguments and errors are those of `call`."""
-        calling = self.call(function, *args)
-        while True:
-            try:
-                next(calling)
-            except StopIteration as end:
-                return end.value
+        return exhaust(self.call(function, *args))
 
     def close(self) -> None:
         """End the process; the next call starts another."""
@@ -145,9 +148,7 @@ class CompiledProcess:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.shut_down()
 
     def _start_helper(self) -> Helper:

@@ -12,14 +12,15 @@ HALF_WIDTH_95 = 1.96  # half width of a 95 % interval in standard deviations
 
 
 class Estimate(NamedTuple):
-    """A number with its 95 % interval. The field names are keys of card.json.
+    """A number with its 95 % interval. The names of CARD_FIELDS are keys of card.json.
 
     Attributes:
         value: The number.
         low: Lower end of the interval.
         high: Upper end of the interval.
         known: True: the logs identify it. False: `value` is the data sheet's or neutral, and the interval is widened.
-        why: The reason, where it is not identified.
+        why: The reason, where it is not identified; only shown.
+        is_needed: False: the model reproduces the logs without it, so that it is not fitted.
     """
 
     value: float
@@ -27,6 +28,10 @@ class Estimate(NamedTuple):
     high: float
     known: bool = True
     why: str = ""
+    is_needed: bool = True
+
+
+CARD_FIELDS = ("value", "low", "high", "known", "why")
 
 
 def make_exact_estimate(value: float, why: str = "") -> Estimate:
@@ -125,7 +130,7 @@ def compute_rise_63_s(natural_hz: float, damping: float) -> float:
 def data_from_estimates(estimates: Mapping[str, Estimate]) -> dict[str, Any]:
     """Plain data for card.json; numbers that are not finite become null, which means 'no limit' there."""
     return {
-        name: {key: _null_if_infinite(item) for key, item in estimate._asdict().items()}
+        name: {key: _null_if_infinite(getattr(estimate, key)) for key in CARD_FIELDS}
         for name, estimate in estimates.items()
     }
 

@@ -29,7 +29,16 @@ from tunefree_hil.config.convert import SET_BY_LOADER
 from tunefree_hil.config.dump import plain as plain_spec
 from tunefree_hil.config.dump import to_toml
 from tunefree_hil.config.load import load_model
-from tunefree_hil.config.schema import ActuatorSpec, EffectSpec, Interval, ModelSpec, Number, ValidSpec, VehicleSpec
+from tunefree_hil.config.schema import (
+    ActuatorSpec,
+    EffectSpec,
+    Interval,
+    ModelSpec,
+    Number,
+    ValidSpec,
+    VehicleSpec,
+    field_values,
+)
 from tunefree_hil.learn.compiled_process import CompiledProcess
 from tunefree_hil.learn.drives.drive import Drive
 from tunefree_hil.learn.estimate import ActuatorFit, Estimate, make_exact_estimate
@@ -53,8 +62,8 @@ VERSIONED_LIBRARIES = ("numpy", "scipy", "torch")
 CALIBRATION_LOGS = "the model's own logs"  # provenance of effects that were identified on the calibration logs
 CALIBRATION_EFFECTS = "own_effects"  # key of card.json: effects on the calibration logs (gap/selection)
 DEFAULT_TIMING = {"report_ticks": 1, "command_ticks": 1, "phase_seed": 1}
-MODEL_TOML_HEADER = """\
-# Written by tunefree_hil from logs of the vehicle; {card} says from which, with intervals and errors.
+MODEL_TOML_HEADER = f"""\
+# Written by tunefree_hil from logs of the vehicle; {CARD_FILE} says from which, with intervals and errors.
 """
 
 
@@ -103,7 +112,7 @@ def write_model(folder: Path, vehicle: VehicleSpec, content: ModelContent, card:
     require_new_folder(folder)
     data = _model_toml(vehicle, content)
     with atomic_folder(folder) as part:
-        (part / "model.toml").write_text(MODEL_TOML_HEADER.format(card=CARD_FILE) + to_toml(data), encoding="utf-8")
+        (part / "model.toml").write_text(MODEL_TOML_HEADER + to_toml(data), encoding="utf-8")
         if content.plant_arrays is not None:
             save_plant(part / PLANT_FILE, content.kind, content.plant_arrays)
         if content.calibration is not None:
@@ -184,7 +193,7 @@ def write_model_copy(
 def write_effects(folder: Path, model: ModelSpec, effects: Sequence[EffectSpec]) -> None:
     """Replace the effects in the model.toml of a folder, atomically."""
     data = {**model_toml_from_spec(model), "effects": plain_spec(list(effects))}
-    _replace_file(folder / "model.toml", MODEL_TOML_HEADER.format(card=CARD_FILE) + to_toml(data))
+    _replace_file(folder / "model.toml", MODEL_TOML_HEADER + to_toml(data))
 
 
 def write_card(folder: Path, card: Mapping[str, Any]) -> None:
@@ -259,10 +268,10 @@ def load_calibration(model: ModelSpec) -> dict[str, Any] | None:
 
 def fit_from_spec(spec: ActuatorSpec) -> ActuatorFit:
     """A channel of [actuators] as a fit, so that it can be written again."""
-    estimates: dict[str, Any] = {
-        name: _estimate_from_number(getattr(spec, name)) for name in spec.__struct_fields__ if name != "order"
-    }
-    return ActuatorFit(order=int(spec.order), **estimates)
+    values = field_values(spec)
+    order = int(values.pop("order"))
+    estimates: dict[str, Any] = {name: _estimate_from_number(number) for name, number in values.items()}
+    return ActuatorFit(order=order, **estimates)
 
 
 def _estimate_from_number(number: Number) -> Estimate:
@@ -286,14 +295,9 @@ def write_learned_model(folder: Path, learned: LearnedModel, card: Mapping[str, 
     calibration logs are left out where a net was trained on the same logs: it has learned them.
     """
     kind, physics, plant_arrays = learned.kind, learned.physics, learned.plant_arrays
-    valid = {name: getattr(physics.valid, name) for name in physics.valid.__struct_fields__}
+    valid = field_values(physics.valid)
     effects = [
-        {
-            "name": effect.name,
-            "params": effect.params,
-            "interval": effect.interval,
-            "provenance": effect.provenance,
-        }
+        field_values(effect)
         for effect in physics.effects
         if plant_arrays is None
         or not (effect.provenance.get("by") == CALIBRATION_LOGS and _is_latency_effect(effect.name))
@@ -307,7 +311,7 @@ def write_learned_model(folder: Path, learned: LearnedModel, card: Mapping[str, 
         plant_arrays=plant_arrays,
         calibration=learned.calibration,
         effects=effects,
-        timing={name: getattr(physics.timing, name) for name in physics.timing.__struct_fields__},
+        timing=field_values(physics.timing),
     )
     return write_model(folder, learned.vehicle, content, card)
 

@@ -39,7 +39,7 @@ class CommandDecoder:
                 self._take(message, frame.data, channels)
         self.reception.end_tick(self.tick)
         self.tick += 1
-        self._tell_status(channels)
+        self._add_statuses(channels)
         return ReceivedCommand(**channels) if channels else ReceivedCommand()
 
     def _take(self, message: MessageMap, data: bytes, channels: dict[str, Any]) -> None:
@@ -63,8 +63,8 @@ class CommandDecoder:
             1.0,
         )
 
-    def _tell_status(self, channels: dict[str, Any]) -> None:
-        """Put the E2E status of protected messages to their channels, whether a frame came or not."""
+    def _add_statuses(self, channels: dict[str, Any]) -> None:
+        """Add the E2E status of protected messages to their channels, whether a frame came or not."""
         for message, channel in self._protected:
             status = self.reception.status(message.name)
             if status not in VALID_STATUSES:

@@ -6,7 +6,6 @@ when the driver takes over, when a by-wire channel faults, or when its own super
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -23,6 +22,7 @@ from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
 from tunefree_hil.nodes.handshake import Handshake, Stage, limits_of
 from tunefree_hil.nodes.measurement_decoder import CHASSIS, INS, MeasurementDecoder
+from tunefree_hil.nodes.node import print_line
 from tunefree_hil.nodes.timing import CycleTimes
 
 STAGE_CODES = {
@@ -57,15 +57,13 @@ class ControllerPart:
         needed: Mapping[str, Sequence[str]],
         assign: Callable[[bytes, Mapping[int, float]], Assignment],
         times: CycleTimes,
-        say: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),  # noqa: T201
-        names: Sequence[str] = (),
+        print_line: Callable[[str], None] = print_line,
     ) -> None:
         self.codec = codec
         self.needed = needed
         self.assign = assign
         self.times = times
-        self.say = say
-        self.names = list(names)
+        self.print_line = print_line
         self._writer = FrameWriter(codec)
         self._failed = 0
 
@@ -119,14 +117,14 @@ class ControllerPart:
         decoder = self.decoder
         decoder.receive(k, frames)
         for notice in decoder.reception.notices():
-            self.say(f"controller: {notice}")
+            self.print_line(f"controller: {notice}")
         if self._failed:
             return [], []
         missing = decoder.missing(k, self.needed)
         if missing is not None:
             late = ", ".join(decoder.why(name) for name in missing[1])
             return [], [self._fail(k, MISSING_CODES[missing[0]], f"no valid frame for 0.2 s: {late}")]
-        stage = self.handshake.look(k, decoder.state())
+        stage = self.handshake.advance(k, decoder.state())
         if stage in STAGE_CODES:
             return self._quiet_frames(k), [self._fail(k, STAGE_CODES[stage], stage.value)]
         block = self.task.block
@@ -142,11 +140,11 @@ class ControllerPart:
         reception = self.decoder.reception
         self.times.save("controller", reception.troubles())
         if words := reception.summary():
-            self.say(f"controller: received: {words}")
+            self.print_line(f"controller: received: {words}")
 
     def _fail(self, k: int, code: bc.ErrorCode, why: str) -> bc.Status:
         self._failed = int(code)
-        self.say(f"controller: tick {k}: {code.name.lower()}: {why}; commands stop")
+        self.print_line(f"controller: tick {k}: {code.name.lower()}: {why}; commands stop")
         return bc.Status(self.role, bc.State.FAILED, int(code), k)
 
     def _frames(self, k: int, command: Any) -> list[CanFrame]:

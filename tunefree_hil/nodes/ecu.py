@@ -5,7 +5,6 @@ In lockstep it owns time: it opens each tick, and steps only on the full set of 
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -19,6 +18,7 @@ from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.nodes.command_decoder import CommandDecoder
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
+from tunefree_hil.nodes.node import print_line
 from tunefree_hil.nodes.status_bits import StatusSignals, cause_name
 from tunefree_hil.nodes.timing import CycleTimes
 from tunefree_hil.plant.actuation.bywire import ReceivedCommand
@@ -50,13 +50,12 @@ class EcuPart:
         codec: Codec,
         assign: Callable[[bytes, int], Vehicle],
         times: CycleTimes,
-        say: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),  # noqa: T201
+        print_line: Callable[[str], None] = print_line,
     ) -> None:
         self.codec = codec
         self.assign = assign
         self.times = times
-        self.say = say
-        self.names: list[str] = []
+        self.print_line = print_line
         self._signals = StatusSignals(codec)
         self._writer = FrameWriter(codec)
         self._failure = 0
@@ -64,16 +63,15 @@ class EcuPart:
     def load(self, scenario: bytes, seed: int, parameters: dict[int, float]) -> None:
         """Put a vehicle at the scenario's start: power-up, no frame received yet."""
         self.car = self.assign(scenario, seed)
-        self._params, self._state, self._output = self.car.unit.start(self.car.body, self.car.dt_s)
+        self._start_vehicle()
         self._decoder = CommandDecoder(self.codec)
         self._writer.restart()
         self._faults = FaultFilter(self.car.faults)
         self._cause = 0.0
         self._failure = 0
-        self._warm_up()
 
-    def _warm_up(self) -> None:
-        """One step thrown away: where kernels are compiled, that is now and not in tick 0."""
+    def _start_vehicle(self) -> None:
+        """Start it after one step thrown away: where kernels are compiled, that is now and not in tick 0."""
         car = self.car
         params, state, _ = car.unit.start(car.body, car.dt_s)
         car.unit.step(params, state, UnitInput(ReceivedCommand(), car.driver(0), Disturbance()), car.dt_s)
@@ -148,8 +146,8 @@ class EcuPart:
         reception = self._decoder.reception
         self.times.save("ecu", reception.troubles())
         if words := reception.summary():
-            self.say(f"ecu: received: {words}")
-        exchange.say(bc.Status(self.role, state, self._failure, ticks), k=ticks)
+            self.print_line(f"ecu: received: {words}")
+        exchange.send_messages(bc.Status(self.role, state, self._failure, ticks), k=ticks)
 
     def _publish(self, k: int, used_at: int) -> list[CanFrame]:
         """What is sent at tick k: the frames that are due at the tick that uses them."""
@@ -169,9 +167,9 @@ class EcuPart:
         """Decode the command frames of tick k; announce faults that begin there, print notices."""
         heard = self._decoder.receive(frames)
         for fault in self._faults.begun(k):
-            exchange.say(bc.Fault(self.role, fault.index, fault.code, k), k=k)
+            exchange.send_messages(bc.Fault(self.role, fault.index, fault.code, k), k=k)
         for notice in self._decoder.reception.notices():
-            self.say(f"ecu: {notice}")
+            self.print_line(f"ecu: {notice}")
         return heard
 
     def _step(self, exchange: Exchange, k: int, heard: ReceivedCommand) -> None:
@@ -182,5 +180,5 @@ class EcuPart:
         cause = self._output.status.watchdog_cause
         if cause != self._cause:
             self._cause = cause
-            self.say(f"ecu: tick {k}: watchdog: {cause_name(cause)}; brakes applied")
-            exchange.say(bc.Fault(self.role, bc.NOT_SCRIPTED, int(cause), k), k=k)
+            self.print_line(f"ecu: tick {k}: watchdog: {cause_name(cause)}; brakes applied")
+            exchange.send_messages(bc.Fault(self.role, bc.NOT_SCRIPTED, int(cause), k), k=k)

@@ -14,7 +14,7 @@ from typing import Any
 from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.link import BusLink
+from tunefree_hil.bus.link import Links
 from tunefree_hil.bus.recording.frame_attribution import PHASE_ROLES, can_key, digest
 
 HARD_LIMIT_S = 5.0
@@ -29,28 +29,25 @@ class Exchange:
 
     def __init__(
         self,
-        vehicle: BusLink,
-        bench: BusLink,
+        links: Links,
         ids_of_phase: Sequence[frozenset[int]],
         tick_s: float,
-        send_both: Callable[[list[CanFrame], list[CanFrame]], None] | None = None,
         *,
         drops: bool = False,
     ) -> None:
-        self.vehicle = vehicle
-        self.bench = bench
-        self._send_both = send_both or self._send_apart
+        self.vehicle = links.vehicle
+        self.bench = links.bench
+        self._send_both = links.send_both
         self.ids_of_phase = ids_of_phase
         self.tick_s = tick_s
         self.inbox: list[Any] = []  # bench messages not read yet
         self.run_stamp_s = 0.0  # when STATUS RUN passed the bus: the same for all receivers
-        self.foreign: dict[int, int] = {}  # id -> count of frames that are in neither set
         self.heard = 0  # frames of the other node that were taken in real time
         self.refused = 0  # frames that a full transmit queue did not take in time (`drops`)
         self._drops = drops
         self._frames: tuple[list[CanFrame], list[CanFrame]] = ([], [])
 
-    def say(self, *messages: Any, k: int = 0) -> None:
+    def send_messages(self, *messages: Any, k: int = 0) -> None:
         """Send bench messages, stamped with tick k."""
         self.bench.send(self._bench_frames(messages, k))
 
@@ -77,11 +74,6 @@ class Exchange:
         refused = self.vehicle.refused
         self.refused += len(refused)
         return frames[: len(frames) - len(refused)]
-
-    def _send_apart(self, frames: list[CanFrame], bench_frames: list[CanFrame]) -> None:
-        if frames:
-            self.vehicle.send(frames)
-        self.bench.send(bench_frames)
 
     def interrupted(self, interrupt: Callable[[Any], bool]) -> bool:
         """Real time: whether a received bench message ends the episode; what follows it stays.
@@ -175,7 +167,7 @@ class Exchange:
         return frames
 
     def sort_in(self, frames: Iterable[CanFrame]) -> None:
-        """Put arrived frames to their phase; count those that are in neither set."""
+        """Put arrived frames to their phase; those that are in neither set are left out."""
         telemetry, commands = self.ids_of_phase
         for frame in frames:
             key = can_key(frame)
@@ -183,8 +175,6 @@ class Exchange:
                 self._frames[0].append(frame)
             elif key in commands:
                 self._frames[1].append(frame)
-            else:
-                self.foreign[key] = self.foreign.get(key, 0) + 1
 
     def take_before(self, phase: int, stamp_s: float) -> list[CanFrame]:
         """Real time: the frames of a phase stamped before `stamp_s`; later ones stay for the next cycle."""

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.dbc.e2e import protect, put_nibble, read_nibble, with_crc
-from tunefree_hil.bus.dbc.message_map import EXTENDED_FLAG, MessageMap
+from tunefree_hil.bus.dbc.message_map import MessageMap
+from tunefree_hil.bus.recording.frame_attribution import can_key
 
 SEED_STEP = 1 << 32  # seed and tick in one number
 
@@ -65,7 +66,7 @@ class FaultFilter:
         return [] if any(fault.active(k) for fault in self._stops) else sent
 
     def _disturb(self, k: int, frame: CanFrame) -> list[CanFrame]:
-        key = frame.id | EXTENDED_FLAG if frame.extended else frame.id
+        key = can_key(frame)
         mine = self._by_key.get(key)
         if mine is None:
             return [frame]
@@ -130,9 +131,7 @@ def read_counter(message: MessageMap, data: bytes) -> int:
     """The counter of a payload; 0 where it ends before it."""
     if message.e2e is not None:
         return read_nibble(data, message.e2e.counter_at)
-    mask, shift, _, big = message.plan.raws[message.counter]
-    whole = data.ljust(message.length, b"\0")
-    return int.from_bytes(whole, "big" if big else "little") >> shift & mask
+    return message.read_raw(message.counter, data)
 
 
 def put_counter(message: MessageMap, data: bytes, counter: int) -> bytes:

@@ -3,9 +3,9 @@
     WAIT ── nothing latched ──> ENABLING ── every channel is enabled ──> ENGAGED ── override, fault, dropped ──> LOST
       └── override latched ──> CLEARING ──┘
 
-EN is set from the first command on; the vehicle must answer within ANSWER_LIMIT_S (20 looks of 20 ms in the source).
-A lost engagement is never resumed without a new request. The steps are a kernel, `look`, so that a
-compiled batch takes the same ones; a node uses `Handshake`.
+EN is set from the first command on; the vehicle must answer within ANSWER_LIMIT_S (20 checks of 20 ms in the source).
+A lost engagement is never resumed without a new request. The steps are a kernel, `advance`, so that
+a compiled batch takes the same ones; a node uses `Handshake`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class VehicleState(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """State of `look`: code of the stage, the tick since which it waits, whether clear frames are due now."""
+    """State of `advance`: code of the stage, the tick since which it waits, whether clear frames are due now."""
 
     stage: int = ENABLING
     since: int = 0
@@ -80,7 +80,7 @@ def watch(state: VehicleState, since: int, tick: int, why_ticks: int) -> Progres
 
 
 @kernel
-def look(progress: Progress, tick: int, state: VehicleState, limits: Limits) -> Progress:
+def advance(progress: Progress, tick: int, state: VehicleState, limits: Limits) -> Progress:
     """Advance by one tick. An ended stage stays."""
     stage, since = progress.stage, progress.since
     if stage >= NOT_ENABLED:
@@ -104,7 +104,7 @@ def look(progress: Progress, tick: int, state: VehicleState, limits: Limits) -> 
 
 
 class Handshake:
-    """One engagement. `look(tick, state)` once a tick gives the stage; `enable`, `clear_now`: frames to send."""
+    """One engagement. `advance(tick, state)` once a tick gives the stage; `enable`, `clear_now`: frames to send."""
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
@@ -125,7 +125,7 @@ class Handshake:
         """Whether commands go out with their enable bit set."""
         return self._progress.stage in (ENABLING, ENGAGED)
 
-    def look(self, tick: int, state: VehicleState) -> Stage:
+    def advance(self, tick: int, state: VehicleState) -> Stage:
         """Advance by one tick. An ended stage stays."""
-        self._progress = look(self._progress, tick, state, self.limits)
+        self._progress = advance(self._progress, tick, state, self.limits)
         return self.stage

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import gc
-from collections.abc import Callable
-from typing import Any, Protocol
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
 
 from tunefree_hil.base.clock import Clock
 from tunefree_hil.base.errors import BenchError, InputError
@@ -20,7 +21,6 @@ class Part(Protocol):
     """One role's share of an episode."""
 
     role: bc.Role
-    names: list[str]  # parameters it announces
 
     def load(self, scenario: bytes, seed: int, parameters: dict[int, float]) -> None: ...
 
@@ -29,13 +29,27 @@ class Part(Protocol):
     def realtime(self, exchange: Exchange, clock: Clock, zero_s: float, stopped: Callable[[Any], bool]) -> None: ...
 
 
+class Announcement(NamedTuple):
+    """What a node sends in its HELLO. parameters: names of those of its own, beside docs/reference/controller.md."""
+
+    name: str
+    parameters: Sequence[str] = ()
+
+
+def print_line(text: str) -> None:
+    """Print a node's notice on stderr."""
+    print(text, file=sys.stderr, flush=True)  # noqa: T201
+
+
 class Node:
     """Serves episodes until the bus goes (which raises) or the runner sends END."""
 
-    def __init__(self, part: Part, exchange: Exchange, name: str, clock: Clock, realtime: bool = False) -> None:
+    def __init__(
+        self, part: Part, exchange: Exchange, announcement: Announcement, clock: Clock, realtime: bool = False
+    ) -> None:
         self.part = part
         self.exchange = exchange
-        self.name = name
+        self.announcement = announcement
         self.clock = clock
         self.realtime = realtime
         self._episode: bc.Episode | None = None
@@ -45,8 +59,8 @@ class Node:
 
     def hello(self) -> None:
         """Announce role, name and parameters."""
-        for message in bc.hello_messages(self.part.role, self.name, self.part.names):
-            self.exchange.say(message)
+        for message in bc.hello_messages(self.part.role, *self.announcement):
+            self.exchange.send_messages(message)
 
     def serve(self) -> None:
         """Send HELLO, then answer the runner for ever. The reason of an end is announced on the bench channel."""
@@ -56,7 +70,7 @@ class Node:
             gc.freeze()  # what has been imported stays: the collection before each episode need not look at it
             self._serve()
         except BaseException:
-            self._say_leaving()
+            self._announce_leaving()
             raise
 
     def _serve(self) -> None:
@@ -67,10 +81,10 @@ class Node:
             if message is not None:
                 self._answer(message)
 
-    def _say_leaving(self) -> None:
+    def _announce_leaving(self) -> None:
         """Announce the end, so that the others need not wait; where the bus itself is gone nothing can be sent."""
         with contextlib.suppress(BenchError):
-            self.exchange.say(bc.Status(self.part.role, bc.State.END, bc.ErrorCode.INTERNAL, 0))
+            self.exchange.send_messages(bc.Status(self.part.role, bc.State.END, bc.ErrorCode.INTERNAL, 0))
 
     def _answer(self, message: Any) -> None:
         if isinstance(message, bc.Hello) and message.role == bc.Role.RUNNER and message.part == 0:
@@ -92,12 +106,12 @@ class Node:
             self.part.load(episode.scenario, episode.seed, dict(self._parameters))
         except InputError as error:
             code = bc.ErrorCode.UNKNOWN_SCENARIO if error.code == "unknown_scenario" else bc.ErrorCode.CONTROL_ERROR
-            self.exchange.say(bc.Status(self.part.role, bc.State.FAILED, code, 0))
+            self.exchange.send_messages(bc.Status(self.part.role, bc.State.FAILED, code, 0))
             raise
         gc.collect()
         if self.realtime:
             lock_memory()  # now, as it takes a while
-        self.exchange.say(bc.Status(self.part.role, bc.State.READY, 0, 0))
+        self.exchange.send_messages(bc.Status(self.part.role, bc.State.READY, 0, 0))
 
     def _run(self, lead_ms: float) -> None:
         if self._episode is None:

@@ -61,8 +61,9 @@ class Reception:
 
     def __init__(self, messages: Iterable[MessageMap]) -> None:
         self.receivers = {message.name: Receiver(message) for message in messages}
-        self._all = tuple(self.receivers.values())
-        self._extra_frames = {one.message.name: _ExtraFrames(one.message.period_ticks) for one in self._all}
+        self._extra_frames = {
+            name: _ExtraFrames(receiver.message.period_ticks) for name, receiver in self.receivers.items()
+        }
         self._seen: set[tuple[str, str]] = set()
         self._new: list[Notice] = []
         self.too_many: dict[str, int] = {}
@@ -70,7 +71,7 @@ class Reception:
 
     def expect_every_period(self) -> None:
         """Before the first tick of a drive in lockstep, where no frame is late: a single missing one is noticed."""
-        for receiver in self._all:
+        for receiver in self.receivers.values():
             receiver.expect_every_period()
 
     def receive(self, message: MessageMap, data: bytes, tick: int) -> bool:
@@ -90,9 +91,9 @@ class Reception:
 
     def end_tick(self, tick: int) -> None:
         """End a tick: notice overdue messages."""
-        for receiver in self._all:
-            if receiver.look(tick):
-                self._notice(tick, receiver.message.name, E2eStatus.NO_NEW_DATA.words)
+        for name, receiver in self.receivers.items():
+            if receiver.end_tick(tick):
+                self._notice(tick, name, E2eStatus.NO_NEW_DATA.words)
 
     def status(self, name: str) -> E2eStatus:
         """A message's status now."""

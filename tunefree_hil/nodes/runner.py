@@ -9,11 +9,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import BenchError, InputError, NoAnswer, PeerGone
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.link import BusLink
+from tunefree_hil.bus.recording.recorder_owner import RecorderOwner
+from tunefree_hil.bus.tfhub.owner import Owner
 from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.nodes.exchange import HARD_LIMIT_S
 
@@ -38,27 +40,13 @@ class Outcome(NamedTuple):
         return bc.ErrorCode(self.error_code).name.lower() if self.error_code else ""
 
 
-class FrameCounts(Protocol):
-    """`frames`: channel -> frames that have passed so far."""
-
-    @property
-    def frames(self) -> Mapping[str, int]: ...
-
-
-class LogKeeper(Protocol):
-    """Writes the logs and counts frames: a hub's owner (bus/tfhub/owner.py) or a recorder's (recorder_owner.py)."""
-
-    def start_log(self, paths: Mapping[str, Any]) -> None: ...
-
-    def stop_log(self) -> dict[str, int]: ...
-
-    def stats(self) -> FrameCounts: ...
-
-
 class Runner:
-    """Runs episodes on one bench. `check()` raises when a process of ours has died, or the bus has a fault."""
+    """Runs episodes on one bench.
 
-    def __init__(self, bench: BusLink, owner: LogKeeper, check: Callable[[], None] = lambda: None) -> None:
+    `owner` writes the logs and counts frames. `check()` raises when a process of ours has died, or the bus has a fault.
+    """
+
+    def __init__(self, bench: BusLink, owner: Owner | RecorderOwner, check: Callable[[], None] = lambda: None) -> None:
         self.bench = bench
         self.owner = owner
         self.check = check
@@ -207,7 +195,7 @@ class Runner:
                     code = code or message.error_code
                 elif message.role == bc.Role.ECU and message.state in (bc.State.FINISHED, bc.State.FAILED):
                     ended = message
-            watch.look()
+            watch.check()
         return ended.tick, code or ended.error_code or self._late_failure()
 
     def _late_failure(self) -> int:
@@ -229,12 +217,12 @@ class HubSilent(NoAnswer):
 class Silence:
     """Detects a silent bench: the hub's or recorder's count of frames does not change."""
 
-    def __init__(self, owner: LogKeeper) -> None:
+    def __init__(self, owner: Owner | RecorderOwner) -> None:
         self.owner = owner
         self._frames = -1
         self._moved = self._looked = time.monotonic()
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Raise NoAnswer when no frame has passed for SILENT_LIMIT_S."""
         now_s = time.monotonic()
         if now_s - self._looked < 1.0:

@@ -14,13 +14,12 @@ class CycleTimes:
 
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
-        self.late_s: list[float] = []
-        self.control_s: list[float] = []
+        self.begin()
 
     def begin(self) -> None:
         """Start a new episode."""
-        self.late_s = []
-        self.control_s = []
+        self.late_s: list[float] = []
+        self.control_s: list[float] = []
 
     def note(self, late_s: float, control_s: float) -> None:
         """One tick: how late it began, how long it computed."""

@@ -44,7 +44,6 @@ def message_of(signals: Mapping[str, Signal], length: int) -> MessageMap:
         fields=(),
         counter_modulus=0,
         allow_truncated=True,
-        constants={},
         bywire=(),
         states=(),
         signals=maps,
@@ -182,7 +181,7 @@ def test_a_clear_frame_has_four_bytes() -> None:
 
 def test_short_frames_are_refused_where_not_allowed() -> None:
     message = MKZ.by_name["WHEEL_SPEED"]
-    assert not MKZ.fits(message, bytes(7)) and MKZ.fits(message, bytes(8))
+    assert not message.fits(bytes(7)) and message.fits(bytes(8))
     with pytest.raises(InputError, match="7 bytes") as caught:
         MKZ.decode(message, bytes(7))
     assert "allow_truncated" in caught.value.hint

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from tunefree_hil.bus.dbc.decode_columns import (
     payloads_of,
 )
 from tunefree_hil.bus.dbc.e2e import is_intact, with_crc
+from tunefree_hil.bus.dbc.encode_plan import make_plan
 from tunefree_hil.bus.dbc.message_map import MessageMap, SignalMap
 from tunefree_hil.config.load import load_vehicle
 
@@ -37,7 +39,7 @@ def compare(codec: Codec, message: MessageMap, frames: list[bytes]) -> None:
     """Frame by frame against Codec.fits, is_intact, Codec.decode and Codec.values."""
     payloads = fit(message, payloads_of(frames))
     enough, intact = are_long_enough(message, payloads), are_intact(message, payloads)
-    assert enough.tolist() == [codec.fits(message, one) for one in frames]
+    assert enough.tolist() == [message.fits(one) for one in frames]
     if message.e2e is not None:
         assert intact.tolist() == [is_intact(message.e2e, one[: message.length]) for one in frames]
     else:
@@ -122,9 +124,8 @@ def test_integers_that_a_double_does_not_hold(signed: bool, raw: int, big: bool,
 
 
 def one_signal(signal: SignalMap, length: int) -> MessageMap:
-    message = message_of({}, length)
-    message.signals[signal.name] = signal  # type: ignore[index]
-    return message
+    signals = {signal.name: signal}
+    return replace(message_of({}, length), signals=signals, plan=make_plan(signals, (), set(), {}))
 
 
 def test_no_frame_at_all() -> None:

@@ -9,7 +9,8 @@ import pytest
 from tests.bus.e2e_car import write_car
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.dbc.e2e import protect
-from tunefree_hil.bus.recording.log_check import ERROR, REMOTE, Frame, LogHealth, check_frames, declared_ranges
+from tunefree_hil.bus.formats.rows import ERROR, RTR
+from tunefree_hil.bus.recording.log_check import Frame, LogHealth, check_frames, declared_ranges
 from tunefree_hil.config.load import load_vehicle
 
 TICKS = 200
@@ -114,7 +115,7 @@ def test_short_foreign_error_and_remote_frames(codec: Codec, clean: list[Frame])
         (2.01, "can0", 0x7FF, b"\0", 0),
         (2.02, "can0", 0x7FF, b"\0", 0),
         (2.03, "can0", 0x004, b"", ERROR),
-        (2.04, "can0", report.key, b"", REMOTE),
+        (2.04, "can0", report.key, b"", RTR),
         (2.00, "can0", 0x7FE, b"", 0),
     ]
     health = check_frames(clean, codec)

@@ -33,7 +33,8 @@ class Bus:
         self.channel = FakeLink()
         self._pipe = socket.socketpair()
         vehicle = SocketCanLink(self.sock, "can9", "the recorder")
-        self.recorder = Recorder(setup, vehicle, self.channel, self._pipe[0].fileno())
+        self.channel.fileno = self._pipe[0].fileno  # type: ignore[attr-defined]
+        self.recorder = Recorder(setup, vehicle, self.channel)  # type: ignore[arg-type]
         self.paths = {"vehicle": folder / "vehicle.log", "bench": folder / "bench.log"}
 
     def start(self) -> None:

@@ -12,48 +12,38 @@ import pytest
 
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.entry import run
-from tunefree_hil.jobs.grade.grade import GradeOptions
-
-COMPARE = {"fail_if": [], "weights": None, "out": None}
+from tunefree_hil.jobs.options.records import CompareOptions, ExplainOptions, GradeOptions
 
 
 @pytest.mark.parametrize(
-    ("words", "module", "function", "arguments", "options"),
+    ("words", "module", "function", "arguments"),
     [
-        (["grade", "a.log", "--path", "u_turn"], "grade.run", "grade_any", ("a.log", GradeOptions(path="u_turn")), {}),
+        (["grade", "a.log", "--path", "u_turn"], "grade.run", "grade_any", ("a.log", GradeOptions(path="u_turn"))),
         (
             ["grade", "a.blf", "--path", "p.csv", "--vehicle", "v", "--align", "start", "--start-s", "2.5"],
             "grade.run",
             "grade_any",
             ("a.blf", GradeOptions(path="p.csv", vehicle="v", align="start", start_s=2.5)),
-            {},
         ),
-        (["compare", "a", "b"], "grade.compare", "compare", (["a", "b"],), COMPARE),
+        (["compare", "a", "b"], "grade.compare", "compare", (CompareOptions(["a", "b"]),)),
         (
             [
-                "compare",
-                "a",
-                "b:mrac_on",
-                "c",
+                *["compare", "a", "b:mrac_on", "c", "--weights", "w"],
                 "--fail-if",
                 "score > +5%",
                 "--fail-if",
                 "replans > 0",
-                "--weights",
-                "w",
             ],
             "grade.compare",
             "compare",
-            (["a", "b:mrac_on", "c"],),
-            {"fail_if": ["score > +5%", "replans > 0"], "weights": "w", "out": None},
+            (CompareOptions(["a", "b:mrac_on", "c"], ["score > +5%", "replans > 0"], "w"),),
         ),
-        (["explain", "runs/x"], "tune.explain", "explain", (Path("runs/x"),), {"points": 9, "slices": True}),
+        (["explain", "runs/x"], "tune.explain", "explain", (ExplainOptions(Path("runs/x"), 9, True),)),
         (
             ["explain", "runs/x", "--points", "5", "--no-slices"],
             "tune.explain",
             "explain",
-            (Path("runs/x"),),
-            {"points": 5, "slices": False},
+            (ExplainOptions(Path("runs/x"), 5, False),),
         ),
     ],
 )
@@ -62,20 +52,19 @@ def test_options_reach_the_job(
     module: str,
     function: str,
     arguments: tuple[Any, ...],
-    options: dict[str, Any],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    calls: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
+    calls: list[tuple[Any, ...]] = []
 
-    def job(*given: Any, **more: Any) -> Iterator[Event]:
-        calls.append((given, more))
+    def job(*given: Any) -> Iterator[Event]:
+        calls.append(given)
         yield Event("result", "", {"sentence": "fine"})
 
     stand_in = ModuleType(f"tunefree_hil.jobs.{module}")
     setattr(stand_in, function, job)
     monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
     assert run(words) == 0
-    assert calls == [(arguments, options)]
+    assert calls == [arguments]
 
 
 @pytest.mark.parametrize(

@@ -8,24 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tunefree_hil.figures.gap.gap_closed import (
-    SignalErrors,
-    SignalTrace,
-    draw_errors,
-    draw_signature,
-    draw_traces,
-    write_errors,
-    write_signature,
-    write_traces,
-)
-from tunefree_hil.figures.gap.links import (
-    CandidateEvidence,
-    RegionMisfit,
-    draw_evidence,
-    draw_regions,
-    write_evidence,
-    write_regions,
-)
+from tunefree_hil.figures.gap.gap_closed import SignalErrors, SignalTrace, draw_errors, draw_signature, draw_traces
+from tunefree_hil.figures.gap.links import CandidateEvidence, RegionMisfit, draw_evidence, draw_regions
+from tunefree_hil.figures.style import save
 
 REGIONS = [
     RegionMisfit("speed (m/s) 0 to 8", 0.1, 3.0, 1.5, 6.0, True),
@@ -83,10 +68,10 @@ def test_empty_ones_say_so_and_all_are_written(tmp_path: Path) -> None:
     for figure in (draw_regions([], "", ""), draw_evidence([], 6.0, ""), draw_errors([], ""), draw_traces([], "")):
         assert "not recorded" in figure.axes[0].texts[0].get_text()
     paths = [
-        write_regions(tmp_path / "where.png", REGIONS, "rad", "a"),
-        write_evidence(tmp_path / "ladder.png", STEPS, 6.0, "b"),
-        write_errors(tmp_path / "shrink.png", BARS, "c"),
-        write_traces(tmp_path / "runs.png", [made_run()], "d"),
-        write_signature(tmp_path / "signature.png", made_run(), made_run(), "e"),
+        save(draw_regions(REGIONS, "rad", "a"), tmp_path / "where.png"),
+        save(draw_evidence(STEPS, 6.0, "b"), tmp_path / "ladder.png"),
+        save(draw_errors(BARS, "c"), tmp_path / "shrink.png"),
+        save(draw_traces([made_run()], "d"), tmp_path / "runs.png"),
+        save(draw_signature(made_run(), made_run(), "e"), tmp_path / "signature.png"),
     ]
     assert all(path.read_bytes()[:4] == b"\x89PNG" for path in paths)

@@ -6,14 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tunefree_hil.figures.learning.calibrate import (
-    ChannelFit,
-    ChannelTrace,
-    ErrorGrowth,
-    draw_channels,
-    draw_growth,
-    write_growth,
-)
+from tunefree_hil.figures.learning.calibrate import ChannelFit, ChannelTrace, ErrorGrowth, draw_channels, draw_growth
+from tunefree_hil.figures.style import save
 
 TIME_S = np.arange(100) * 0.01
 
@@ -49,4 +43,4 @@ def test_a_panel_a_target_with_both_lines(tmp_path: Path) -> None:
     figure = draw_growth(growth(), "title")
     assert [axes.get_ylabel() for axes in figure.axes] == ["error of speed (m/s)", "error of x (m)"]
     assert [line.get_label() for line in figure.axes[0].lines] == ["data sheet", "fitted"]
-    assert write_growth(tmp_path / "a.png", growth(), "title").read_bytes()[:4] == b"\x89PNG"
+    assert save(draw_growth(growth(), "title"), tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tunefree_hil.figures.learning.coverage import CoveragePanel, draw_coverage, write_coverage
+from tunefree_hil.figures.learning.coverage import CoveragePanel, draw_coverage
+from tunefree_hil.figures.style import save
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,5 +41,5 @@ def test_a_full_cell_is_as_bright_as_one_that_is_more_than_full() -> None:
 
 
 def test_it_is_written_as_a_picture(tmp_path: Path) -> None:
-    path = write_coverage(tmp_path / "coverage.png", [PANEL], 10.0, "A title")
+    path = save(draw_coverage([PANEL], 10.0, "A title"), tmp_path / "coverage.png")
     assert path.read_bytes()[:4] == b"\x89PNG"

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tunefree_hil.figures.learning.map import MapPicture, draw_map, draw_map_data, write_map, write_map_data
+from tunefree_hil.figures.learning.map import MapPicture, draw_map, draw_map_data
+from tunefree_hil.figures.style import save
 
 SPEEDS, COMMANDS = np.array([0.5, 2.0, 5.0, 10.0]), np.array([-0.4, -0.3, -0.2, 0.0, 0.2, 0.3, 0.5])
 
@@ -54,6 +55,6 @@ def test_without_gaps_nothing_is_dashed() -> None:
     assert "100 %" in figure.get_suptitle()
 
 
-@pytest.mark.parametrize("write", [write_map, write_map_data])
-def test_they_are_written_as_pictures(write, tmp_path: Path) -> None:
-    assert write(tmp_path / "map.png", picture()).read_bytes()[:4] == b"\x89PNG"
+@pytest.mark.parametrize("draw", [draw_map, draw_map_data])
+def test_they_are_written_as_pictures(draw, tmp_path: Path) -> None:
+    assert save(draw(picture()), tmp_path / "map.png").read_bytes()[:4] == b"\x89PNG"

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from tests.jobs.made_margins import made_margins
-from tunefree_hil.figures.tuning.margins import draw_margins, write_margins
+from tunefree_hil.figures.style import save
+from tunefree_hil.figures.tuning.margins import draw_margins
 from tunefree_hil.grade.margins import POINTS
 
 
@@ -55,5 +56,5 @@ def test_without_a_manual_vector_to_compare_with(tmp_path: Path) -> None:
     margins = made_margins({"tuned": 0.06, "manual": 0.0})
     assert margins["against"] is None
     assert "Delay margin of tuned: 60 ms; 0 of 30 drives fail within ±20 %" in texts(margins)
-    path = write_margins(tmp_path / "figures" / "margins.png", margins, "tuned")
+    path = save(draw_margins(margins, "tuned"), tmp_path / "figures" / "margins.png")
     assert path.stat().st_size > 20_000 and list(path.parent.iterdir()) == [path]

@@ -22,6 +22,8 @@ from tunefree_hil.gap.measured.observability import (
 )
 from tunefree_hil.gap.measured.targets import DriveComparison
 from tunefree_hil.gap.model.graph import load_catalogue
+from tunefree_hil.gap.result_text import reason_text
+from tunefree_hil.gap.selection.reasons import Criterion
 from tunefree_hil.gap.validation.block_runs import HEADING, POSITION, _can_compare
 from tunefree_hil.learn.drives.drive import Drive
 
@@ -41,7 +43,12 @@ def opened(without: tuple[str, ...] = (), enabled: bool = True) -> MeasuredDrive
 
 
 def blind(*drives: MeasuredDrive) -> dict[str, str]:
-    return find_untestable_effects(load_catalogue(), find_unobservable_links(drives), find_unobservable_ports(drives))
+    links, ports = find_unobservable_links(drives), find_unobservable_ports(drives)
+    reasons = find_untestable_effects(load_catalogue(), links, ports)
+    places = {place.value for place in (*links, *ports)}
+    assert all(reason.criterion is Criterion.UNOBSERVABLE and reason.key in places for reason in reasons.values())
+    assert all(reason.name == name for name, reason in reasons.items())
+    return {name: reason_text(reason) for name, reason in reasons.items()}
 
 
 def names(one: MeasuredDrive) -> set[str]:

@@ -12,6 +12,7 @@ from tunefree_hil.gap.estimation.candidates import Candidate
 from tunefree_hil.gap.estimation.evidence import MIN_EVIDENCE_NATS, with_correlation_rows
 from tunefree_hil.gap.selection.criteria import CRITERIA, SEARCH, CandidateScore
 from tunefree_hil.gap.selection.model_misfit import SearchContext
+from tunefree_hil.gap.selection.reasons import Criterion, Reason, RejectionStage
 from tunefree_hil.gap.selection.search import fit_and_score, search_backward, search_forward, settle_steps
 from tunefree_hil.gap.workers.worker import FitSummary, OpenProblem
 
@@ -43,6 +44,7 @@ class Made:
         self.alone, self.further, self.rest = alone, further, rest
         self.asked: list[tuple[str, ...]] = []
         self.again: dict[str, FitSummary] = {}  # by the noise of the best: what grids under the start's did not see
+        self.screened: dict[str, tuple[Reason, ...]] = {}  # by the last effect of the model that was added to
 
     def fit_candidates(
         self, names: list[str], start: FitSummary | None, noise: FitSummary | None = None
@@ -56,6 +58,9 @@ class Made:
     def refine_fits(self, models: list[FitSummary]) -> list[FitSummary]:
         return models
 
+    def unfitted_beside(self, model: FitSummary) -> tuple[Reason, ...]:
+        return self.screened.get(model.fit.name, ())
+
     def fit_without_effects(self, model: FitSummary, names: list[str]) -> dict[str, FitSummary]:
         return {name: self.rest[name] for name in names}
 
@@ -68,14 +73,22 @@ def run(steps: Any) -> Any:
             return end.value
 
 
+def search_all(team: Made) -> tuple[list[CandidateScore], list[Reason]]:
+    """The steps of a whole search, and what it rejects on the way."""
+    context = SearchContext(cast(Any, team), QUESTION, ALL)
+    alone = fit_and_score(context, list(team.alone))
+    added = run(search_forward(context, alone))
+    stay = run(search_backward(context, added.steps))
+    settled = run(settle_steps(context, alone, stay.steps, len(stay.steps) < len(added.steps)))
+    return settled.steps, [*added.rejected, *stay.rejected, *settled.rejected]
+
+
 def found_by(team: Made) -> list[CandidateScore]:
-    """As `name` searches."""
-    one = cast(Any, team)
-    first = fit_and_score(SearchContext(one, QUESTION, ALL), list(team.alone))
-    found = run(search_forward(SearchContext(one, QUESTION, ALL), first))
-    steps = run(search_backward(SearchContext(one, QUESTION, ALL), found))
-    steps, _ = run(settle_steps(SearchContext(one, QUESTION, ALL), first, steps, len(steps) < len(found)))
-    return steps
+    return search_all(team)[0]
+
+
+def rejections_of(team: Made, name: str, stage: RejectionStage) -> list[Reason]:
+    return [reason for reason in search_all(team)[1] if (reason.name, reason.stage) == (name, stage)]
 
 
 def searched(team: Made) -> list[str]:
@@ -106,6 +119,87 @@ def test_the_first_is_taken_out_again_where_the_second_explains_all_of_it() -> N
     assert searched(team) == ["lag"]
 
 
+def test_an_effect_that_is_taken_out_has_the_criteria_that_it_fails_beside_the_later_one() -> None:
+    both, lag = beside(FIRST, "lag", spread(0.5, 3)), model("lag", spread(0.5, 3))
+    team = Made({"delay": FIRST, "lag": model("lag", spread(7.0))}, {"lag": both}, {"lag": FIRST, "delay": lag})
+    reasons = rejections_of(team, "delay", RejectionStage.BACKWARD)
+    assert {Criterion.EVIDENCE, Criterion.ERROR_REDUCTION} <= {reason.criterion for reason in reasons}
+    assert all(reason.beside == ("lag",) for reason in reasons)
+    (evidence,) = [reason for reason in reasons if reason.criterion is Criterion.EVIDENCE]
+    assert (evidence.value or 0.0) < CRITERIA.plain_evidence_nats == evidence.limit
+    kept = Made({"delay": FIRST, "lag": lag}, {"lag": both}, {"lag": FIRST, "delay": model("lag", spread(6.0))})
+    assert not rejections_of(kept, "delay", RejectionStage.BACKWARD)
+
+
+def test_a_further_candidate_has_the_criteria_that_it_fails_beside_those_before() -> None:
+    both = beside(FIRST, "friction", spread(0.5, 3))
+    further = {"friction": both, "limit": beside(FIRST, "limit", spread(1.95, 4))}
+    rest = {"friction": FIRST, "delay": model("friction", spread(6.0))}
+    team = Made({"delay": FIRST, "friction": model("friction", spread(6.0))}, further, rest)
+    team.screened = {"delay": (Reason(Criterion.SCREENED, "lag", 1.5, 4.0, stage=RejectionStage.SCREENING),)}
+    reasons = rejections_of(team, "limit", RejectionStage.FORWARD)
+    assert {reason.beside for reason in reasons} == {("delay",), ("delay", "friction")}
+    assert Criterion.ERROR_REDUCTION in {reason.criterion for reason in reasons}
+    assert not [reason for reason in rejections_of(team, "friction", RejectionStage.FORWARD) if len(reason.beside) == 1]
+    assert rejections_of(team, "lag", RejectionStage.SCREENING) == list(team.screened["delay"])
+
+
+def test_a_further_candidate_that_gains_only_what_the_rest_comes_to_alone_has_a_reason() -> None:
+    better = beside(FIRST, "limit", spread(0.5, 3))
+    rest = {"limit": model("delay", spread(0.5, 3))}
+    team = Made({"delay": FIRST, "limit": model("limit", spread(7.9))}, {"limit": better}, rest)
+    reasons = rejections_of(team, "limit", RejectionStage.FORWARD)
+    assert Criterion.EVIDENCE in {reason.criterion for reason in reasons}
+
+
+def test_a_further_candidate_that_one_outdoes_which_fails_a_criterion_has_that_reason() -> None:
+    further = {
+        "friction": beside(FIRST, "friction", spread(1.0, 3)),
+        "lag": beside(FIRST, "lag", spread(0.3, 4), other=1.5 * ROWS),
+    }
+    team = Made({"delay": FIRST}, further, {"friction": FIRST, "lag": FIRST})
+    (reason,) = [
+        reason
+        for reason in rejections_of(team, "friction", RejectionStage.FORWARD)
+        if reason.criterion is Criterion.BETTER_REJECTED
+    ]
+    assert reason.value is not None and reason.limit is not None and reason.value < reason.limit
+    assert reason.others == ("lag",) and searched(team) == ["delay"]
+
+
+def test_a_candidate_that_does_not_fit_in_the_place_of_an_effect_has_a_reason() -> None:
+    both = beside(FIRST, "friction", spread(0.5, 3))
+    rest = {"friction": FIRST, "delay": model("friction", spread(6.0)), "limit": FIRST}
+    places = {"limit": beside(model("friction", spread(6.0)), "limit", spread(5.9, 4))}
+
+    class InPlace(Made):
+        def fit_candidates(
+            self, names: list[str], start: FitSummary | None, noise: FitSummary | None = None
+        ) -> dict[str, FitSummary]:
+            if noise is None and start is not None and start.fit.name == "friction":
+                return places
+            return super().fit_candidates(names, start, noise)
+
+    team = InPlace({"delay": FIRST}, {"friction": both}, rest)
+    reasons = rejections_of(team, "limit", RejectionStage.SETTLING)
+    assert reasons and all(reason.beside == ("friction",) for reason in reasons)
+
+
+def test_a_single_effect_that_the_best_candidate_replaces_has_a_reason() -> None:
+    context = SearchContext(cast(Any, Made({}, {}, {})), QUESTION, ALL)
+    alone = fit_and_score(
+        SearchContext(cast(Any, Made({"limit": model("limit", spread(0.5, 3))}, {}, {})), QUESTION, ALL), ["limit"]
+    )
+    (lost,) = fit_and_score(
+        SearchContext(cast(Any, Made({"lag": model("lag", spread(3.0))}, {}, {})), QUESTION, ALL), ["lag"]
+    )
+    settled = run(settle_steps(context, alone, [lost]))
+    assert [step.name for step in settled.steps] == ["limit"]
+    (reason,) = settled.rejected
+    assert (reason.criterion, reason.name, reason.others) == (Criterion.OUTSCORED, "lag", ("limit",))
+    assert reason.value is not None and reason.limit is not None and reason.value < reason.limit
+
+
 def test_who_stays_alone_is_weighed_against_everybody_alone() -> None:
     both, lag = beside(FIRST, "lag", spread(0.5, 3)), model("lag", spread(0.5, 3))
     alone = {"delay": FIRST, "lag": model("lag", spread(7.0)), "limit": model("limit", spread(0.5, 4))}
@@ -116,7 +210,7 @@ def test_who_stays_alone_is_weighed_against_everybody_alone() -> None:
     one = cast(Any, team)
     first = fit_and_score(SearchContext(one, QUESTION, ALL), list(team.alone))
     limit = fit_and_score(SearchContext(cast(Any, Made({"limit": alone["limit"]}, {}, {})), QUESTION, ALL), ["limit"])
-    (again,), _ = run(settle_steps(SearchContext(one, QUESTION, ALL), [*first, *limit], [step]))
+    (again,), _, _ = run(settle_steps(SearchContext(one, QUESTION, ALL), [*first, *limit], [step]))
     assert {again.name, *again.equivalents} == {"lag", "limit"}
 
 

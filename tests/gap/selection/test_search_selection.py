@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -16,9 +16,9 @@ from tunefree_hil.gap.selection import search
 from tunefree_hil.gap.selection.baseline_misfit import NO_BASELINE
 from tunefree_hil.gap.selection.criteria import CandidateScore
 from tunefree_hil.gap.selection.model_misfit import ModelMisfit, SearchContext, mark_broken_targets
-from tunefree_hil.gap.selection.reasons import Criterion, Reason
+from tunefree_hil.gap.selection.reasons import Criterion, Reason, RejectionStage
 from tunefree_hil.gap.selection.rejection import SelectionOutcome
-from tunefree_hil.gap.selection.search import select_effects
+from tunefree_hil.gap.selection.search import SelectedSteps, SettledSteps, select_effects
 from tunefree_hil.gap.workers.worker import OpenProblem
 
 NAMES = ("steer_backlash", "payload", "grade")
@@ -30,13 +30,15 @@ def question() -> OpenProblem:
     )
 
 
-def one_by_one(
-    context: SearchContext, first: list[CandidateScore]
-) -> Generator[SearchProgress, None, list[CandidateScore]]:
+def one_by_one(context: SearchContext, first: list[CandidateScore]) -> Generator[SearchProgress, None, SelectedSteps]:
     """The best of those that are asked, and nobody else."""
     yield SearchProgress(SearchStage.ELIMINATION, "searching")
     assert [one.name for one in first] == [one.name for one in context.problem.candidates]
-    return first[:1]
+    return SelectedSteps(first[:1], tuple(rejection(RejectionStage.FORWARD, one.name) for one in first[1:]))
+
+
+def rejection(stage: RejectionStage, name: str = "") -> Reason:
+    return Reason(Criterion.EVIDENCE, name, 1.0, 6.0, stage=stage)
 
 
 def known(name: str) -> Reason:
@@ -54,22 +56,23 @@ def found(monkeypatch: pytest.MonkeyPatch, old: set[str]) -> tuple[list[SearchSt
 
     def settled(
         context: SearchContext, first: list[CandidateScore], steps: list[CandidateScore], shortened: bool
-    ) -> Generator[SearchProgress, None, tuple[list[CandidateScore], list[CandidateScore]]]:
+    ) -> Generator[SearchProgress, None, SettledSteps]:
         yield SearchProgress(SearchStage.ELIMINATION, "settling")
-        return steps, first
+        return SettledSteps(steps, first, (rejection(RejectionStage.SETTLING),))
 
     def unchanged(
         context: SearchContext, steps: list[CandidateScore]
-    ) -> Generator[SearchProgress, None, list[CandidateScore]]:
+    ) -> Generator[SearchProgress, None, SelectedSteps]:
         yield SearchProgress(SearchStage.ELIMINATION, "each effect without the others")
-        return steps
+        return SelectedSteps(steps, (rejection(RejectionStage.BACKWARD),))
 
-    for name, made in {
+    replacements: dict[str, Callable[..., Any]] = {
         "search_forward": one_by_one,
         "search_backward": unchanged,
         "settle_steps": settled,
         "reject_effects": rejected,
-    }.items():
+    }
+    for name, made in replacements.items():
         monkeypatch.setattr(search, name, made)
     every = [weighed(**{name: spread(1.0)})[0] for name in NAMES]
     context = SearchContext(cast(Any, None), question(), ALL)
@@ -93,6 +96,14 @@ def test_what_is_no_news_hides_nobody_and_is_said(monkeypatch: pytest.MonkeyPatc
     told, asked, result = found(monkeypatch, {"steer_backlash", "payload"})
     assert [one.name for one in result.new_effects] == ["grade"] and asked == ["grade"]
     assert result.known == (known("steer_backlash"), known("payload")) and told.count(SearchStage.REMAINDER) == 3
+
+
+def test_the_rejections_of_the_last_round_come_with_the_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, _, result = found(monkeypatch, {"steer_backlash"})
+    stages = [(reason.name, reason.stage) for reason in result.rejected_candidates]
+    assert stages == [
+        ("grade", RejectionStage.FORWARD), ("", RejectionStage.BACKWARD), ("", RejectionStage.SETTLING),
+    ], "the first round had rejected payload and grade, and the last round searched both again"  # fmt: skip
 
 
 def test_a_search_ends_where_nothing_is_news(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from tunefree_hil.gap.diagnostics.residual_tests import LinkResidual
 from tunefree_hil.gap.estimation.intervals import block_inconsistency
 from tunefree_hil.gap.estimation.nuisance import DRIFT_SIGMAS
 from tunefree_hil.gap.measured.command_echo import CommandEcho
-from tunefree_hil.gap.measured.excitation import Excitation
+from tunefree_hil.gap.measured.excitation import Excitation, Shortage
 from tunefree_hil.gap.result_text import drive_difference_texts, equivalent_texts, reason_text, verdict_texts
 from tunefree_hil.gap.selection.baseline_misfit import NO_BASELINE, BaselineMisfit
 from tunefree_hil.gap.selection.criteria import EQUIVALENCE, CandidateScore, Reduction
@@ -38,8 +38,8 @@ from tunefree_hil.gap.selection.verdict import (
     find_unexplained_beside,
 )
 
-SEEN, UNSEEN = Excitation(2.0, True, ()), Excitation(0.3, False, ("3 brakings by 3 m/s or more, 9 are needed",))
-BARELY = Excitation(0.75, False, ("3 brakings by 3 m/s or more, 4 are needed",))
+SEEN, UNSEEN = Excitation(2.0, True, ()), Excitation(0.3, False, (Shortage("brakings", 3.0, 9.0),))
+BARELY = Excitation(0.75, False, (Shortage("brakings", 3.0, 4.0),))
 NAMES = ("brake_gain", "brake_fade", "brake_drag", "rolling_resistance", "steer_lag", "steer_dead_time")
 DRIVES = cast(Any, [type("Drive", (), {"has_signals": lambda self, *names: True})()])
 QUIET = LinkResidual("brake", Link.COMMAND_TO_REPORT, "1", 0.1, 0.1, 0.0, 0.0, False)

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from threading import Event
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.gap.estimation.grid import StartPoint
+from tunefree_hil.gap.selection.reasons import Criterion, RejectionStage
 from tunefree_hil.gap.workers import worker
 from tunefree_hil.gap.workers.pool import CRITERIA, WorkerPool
 
@@ -66,6 +70,11 @@ def make_pool() -> tuple[WorkerPool, list[FakeProcess]]:
     return pool, processes
 
 
+def beside(*names: str) -> Any:
+    """A model with these effects."""
+    return SimpleNamespace(fit=SimpleNamespace(free=[SimpleNamespace(key=f"{name}.size") for name in names]))
+
+
 def test_a_candidate_that_gains_little_beside_the_best_is_not_fitted_and_a_weak_one_gets_one_step() -> None:
     pool, processes = make_pool()
     assert set(pool.fit_candidates(list(GAINS), None)) == {"best", "near", "far"}
@@ -83,9 +92,35 @@ def test_candidates_that_take_long_are_shared_evenly() -> None:
 def test_an_impossible_candidate_is_recorded_with_the_reason_only_where_it_is_alone() -> None:
     pool, _ = make_pool()
     pool.fit_candidates(["best", "wall"], None)
-    assert pool.impossible_candidates == {"wall": "no value of it gives a possible car"}
-    pool.fit_candidates(["best", "other wall"], cast(Any, type("Beside", (), {"fit": object()})()))
+    reason = pool.impossible_candidates.pop("wall")
+    assert not pool.impossible_candidates and reason.note == "no value of it gives a possible car"
+    assert (reason.criterion, reason.stage) == (Criterion.IMPOSSIBLE, RejectionStage.UNTESTABLE)
+    pool.fit_candidates(["best", "other wall"], beside("lag"))
     assert "other wall" not in pool.impossible_candidates
+    (reason,) = pool.unfitted_beside(beside("lag"))
+    assert (reason.name, reason.stage, reason.beside) == ("other wall", RejectionStage.SCREENING, ("lag",))
+
+
+@given(st.dictionaries(st.sampled_from("abcdefgh"), st.floats(0.0, 2.0) | st.floats(0.0, 1e4), min_size=1))
+def test_every_candidate_is_fitted_or_has_its_gain_and_the_least_one_as_a_reason(gains: dict[str, float]) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(f"{__name__}.GAINS", gains)
+        pool, _ = make_pool()
+        fitted = pool.fit_candidates(list(gains), None)
+    reasons = {reason.name: reason for reason in pool.unfitted_beside(None)}
+    assert set(fitted) | set(reasons) == set(gains) and not set(fitted) & set(reasons)
+    least = max(CRITERIA.min_gain, CRITERIA.min_share_of_best * max(gains.values()))
+    for name, reason in reasons.items():
+        assert (reason.criterion, reason.stage) == (Criterion.SCREENED, RejectionStage.SCREENING)
+        assert (reason.value, reason.limit) == (gains[name], least) and gains[name] <= least
+    assert pool.unfitted_beside(beside("lag")) == ()
+
+
+def test_a_fit_by_the_noise_of_another_model_screens_nothing_out() -> None:
+    pool, _ = make_pool()
+    pool.fit_candidates(["best", "near"], None)
+    pool.fit_candidates(list(GAINS), None, beside("lag"))
+    assert pool.unfitted_beside(None) == ()
 
 
 def test_grids_and_fits_use_the_noise_of_another_model_and_effect_shares_stay() -> None:
@@ -93,8 +128,9 @@ def test_grids_and_fits_use_the_noise_of_another_model_and_effect_shares_stay() 
     pool.fit_candidates(list(GAINS), None)
     assert {source for process in processes for source in process.noise_sources} == {None}
     processes[0].noise_sources, processes[1].noise_sources = [], []
-    pool.fit_candidates(list(GAINS), None, cast(Any, type("Best", (), {"fit": "the best fit"})()))
-    assert [process.noise_sources for process in processes] == [["the best fit"] * 2] * 2
+    best = beside("lag")
+    pool.fit_candidates(list(GAINS), None, best)
+    assert [process.noise_sources for process in processes] == [[best.fit] * 2] * 2
     assert set(pool.max_effect_shares.values()) == {0.1}  # from the first scan: excitation does not depend on the best
 
 

@@ -34,7 +34,8 @@ from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.jobs.collect.collect import collect, require_stopped
 from tunefree_hil.jobs.collect.live_coverage import LiveCounter, WatchOptions, count_logs, make_coverage
-from tunefree_hil.jobs.collect.plan import CollectOptions, require_area
+from tunefree_hil.jobs.collect.plan import require_area
+from tunefree_hil.jobs.options.records import CollectOptions
 from tunefree_hil.jobs.run_folder import library_versions, write_json
 from tunefree_hil.learn.drives.read import read_drives
 

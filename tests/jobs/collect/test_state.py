@@ -7,16 +7,17 @@ from pathlib import Path
 import pytest
 
 from tunefree_hil.collect.gentle_driving import MAX_STRETCHES_A_DRIVE
-from tunefree_hil.jobs.collect.plan import CollectOptions, open_folder, resolve_setup, run_record, write_bench
+from tunefree_hil.jobs.collect.plan import open_folder, resolve_setup, run_record, write_bench
 from tunefree_hil.jobs.collect.state import Collection
+from tunefree_hil.jobs.options.records import CollectOptions
 
 
 @pytest.fixture
 def collection(tmp_path: Path) -> Collection:
     asked = CollectOptions(vehicle="mkz_bywire", model="mkz_nominal", bus="tfhub", out=tmp_path / "run")
-    vehicle, model, effects = resolve_setup(asked)
-    run = open_folder(vehicle, asked, run_record(vehicle, model, asked, effects))
-    return Collection(run, write_bench(run, vehicle, model, asked, effects), asked)
+    setup = resolve_setup(asked)
+    run = open_folder(setup.vehicle, asked, run_record(setup, asked))
+    return Collection(run, write_bench(run, setup, asked), asked)
 
 
 def test_one_beside_cells_and_several_where_none_is_left(collection: Collection) -> None:

@@ -11,8 +11,9 @@ import pytest
 
 from tests.jobs.made_chain import Chain, asked, chain
 from tunefree_hil.jobs.commission.next_gap_command import find_shortfall
-from tunefree_hil.jobs.commission.plan import CommissionOptions, make_plan
+from tunefree_hil.jobs.commission.plan import make_plan
 from tunefree_hil.jobs.commission.stages import select_result
+from tunefree_hil.jobs.options.records import CommissionOptions
 
 __all__ = ["asked", "chain"]  # fixtures
 

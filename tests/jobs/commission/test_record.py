@@ -13,8 +13,9 @@ from tests.bench.tiny import write_bench
 from tests.jobs.made_chain import Chain, asked, chain, judged, record
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.jobs.commission.commission import NAMES, commission
-from tunefree_hil.jobs.commission.plan import CommissionOptions
+from tunefree_hil.jobs.commission.commission import commission
+from tunefree_hil.jobs.commission.plan import NAMES
+from tunefree_hil.jobs.options.records import CommissionOptions
 
 __all__ = ["asked", "chain"]  # fixtures
 

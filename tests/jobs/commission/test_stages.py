@@ -13,7 +13,8 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.load import load_bench
 from tunefree_hil.jobs.commission import stages as jobs_of
 from tunefree_hil.jobs.commission.gates import check_coverage, check_free_run, check_outside_share, read_free_run
-from tunefree_hil.jobs.commission.plan import CommissionOptions, make_plan
+from tunefree_hil.jobs.commission.plan import make_plan
+from tunefree_hil.jobs.options.records import CommissionOptions
 
 __all__ = ["asked", "chain"]  # fixtures
 

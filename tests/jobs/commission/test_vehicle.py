@@ -9,8 +9,9 @@ from tests.jobs.made_chain import asked
 from tunefree_hil.bench import load
 from tunefree_hil.config.load import load_bench, load_model
 from tunefree_hil.jobs.collect.plan import resolve_setup
-from tunefree_hil.jobs.commission.plan import CommissionOptions, make_collect_options, make_plan
+from tunefree_hil.jobs.commission.plan import make_collect_options, make_plan
 from tunefree_hil.jobs.commission.vehicle import VEHICLE, write_vehicle
+from tunefree_hil.jobs.options.records import CommissionOptions
 
 __all__ = ["asked"]  # a fixture
 LATE = '[[effects]]\nname = "steer_lag"\nparams = { tau_s = 0.2 }\n'

@@ -133,6 +133,12 @@ def test_a_rejection_has_its_criterion_with_the_number_and_a_text(
     assert found["taken_back"]["explained_frac"] == closes
 
 
+def test_what_the_search_rejected_stays_beside_the_holdouts_reason() -> None:
+    screened = {"name": "grade", "criterion": "screened", "stage": "screening"}
+    found = rejected({**answer(), "reasons": [screened]}, {"value": 0.5, "low": -0.2, "high": 0.9})
+    assert [entry["criterion"] for entry in found["reasons"]] == ["gap_uncertain", "screened"]
+
+
 def test_a_weak_effect_needs_more_of_the_gap() -> None:
     unsure = {"value": 0.9, "low": 0.2, "high": 1.0}
     assert rejection_reason(answer(), unsure).limit == pytest.approx(-0.02)

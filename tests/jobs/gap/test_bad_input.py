@@ -73,6 +73,8 @@ def test_too_short_a_log_is_an_answer_that_says_what_to_record(
     assert data["verdict"] == written["verdict"] == "cannot_test" and written["effects"] == []
     assert "these logs cannot tell" in err.splitlines()[-1] and "record" in err.splitlines()[-1]
     assert "NEXT.log" in err.splitlines()[-2]
+    (reason,) = written["reasons"]
+    assert reason["criterion"] == "too_few_blocks" and reason["value"] < reason["limit"]
     assert "record" in (tmp_path / "out" / "gap.md").read_text()
 
 

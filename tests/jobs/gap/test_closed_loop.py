@@ -17,6 +17,7 @@ from tests.jobs.made_runs import made_drive
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load
 from tunefree_hil.bench.simulator import Job, SimulatedDrive, Simulator
+from tunefree_hil.bus.bench_channel import ErrorCode, error_text
 from tunefree_hil.config.load import load_model
 from tunefree_hil.gap.validation.repair import effect_specs, repair_model, write_repaired_model
 from tunefree_hil.jobs.gap.closed_loop import (
@@ -27,6 +28,7 @@ from tunefree_hil.jobs.gap.closed_loop import (
     DriveEnd,
     SquareSum,
     compare_drives,
+    name_end,
     replay_drives,
 )
 from tunefree_hil.jobs.gap.options import GapInputs
@@ -199,6 +201,12 @@ def summed(**rms: tuple[float, float, float]) -> dict[str, dict[str, list[Square
         name: {key: [SquareSum(10.0 * one * one, 10)] for key, one in zip(keys, some, strict=True)}
         for name, some in rms.items()
     }
+
+
+@pytest.mark.parametrize("number", [*(int(error) for error in ErrorCode if error), 1001, 4711])
+def test_an_end_has_the_name_that_a_simulated_drive_gives_it(number: int) -> None:
+    assert error_text(number).split(" ")[0] == name_end(number)
+    assert name_end(0) == "" and name_end(4711) == name_end(1000) == "controller_own"
 
 
 def test_an_error_that_was_next_to_none_before_decides_nothing() -> None:

@@ -21,8 +21,9 @@ from tunefree_hil.collect.plan import DrivePlan
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import ValidSpec
 from tunefree_hil.gap.experiment_design import MANOEUVRES
+from tunefree_hil.gap.selection.reasons import Criterion, Reason, RejectionStage, reason_entry
 from tunefree_hil.jobs.gap import drive as module
-from tunefree_hil.jobs.gap.drive import run_gap_with_drives
+from tunefree_hil.jobs.gap.drive import has_same_obstacles, run_gap_with_drives
 from tunefree_hil.jobs.gap.drive_bench import ManoeuvreJob
 from tunefree_hil.jobs.gap.folder import GapFolder
 from tunefree_hil.jobs.gap.options import GapDriveOptions, GapOptions
@@ -215,13 +216,45 @@ def test_logs_that_cannot_tell_are_driven_for_until_the_reason_stays(
     bench: Bench, asked: GapOptions, wish: GapDriveOptions
 ) -> None:
     lacking = {"brake_lag": {"score": 0.1, "enough": False, "lacks": ["no braking"]}}
-    untold = verdict("cannot_test", excitation=lacking, words=["no braking"])
+    untold = verdict("cannot_test", excitation=lacking, reasons=[shortage(0.0)])
     bench.says = {1: untold, 2: verdict("one")}
     assert events(asked, wish)[-1].data["verdict"] == "one" and bench.driven == ["brake_levels"]
-    bench.says = {key: {**untold, "excitation": {}} for key in range(1, 9)}
+    bench.says = {key: {**untold, "excitation": {}, "words": [str(key)]} for key in range(1, 9)}
     found = events(asked._replace(out=asked.out.with_name("other")), wish)
     assert found[-1].data["verdict"] == "cannot_test" and len(found[-1].data["drives"]) == 3
-    assert any("did not change why" in event.message for event in found)
+    assert len(bench.asked) == 4 and any("did not change why" in event.message for event in found)
+    bench.says = {key: {**untold, "excitation": {}, "reasons": [shortage(0.1 * key)]} for key in range(1, 12)}
+    found = events(asked._replace(out=asked.out.with_name("third")), wish)
+    assert len(bench.asked) > 6 and not any("did not change why" in event.message for event in found)
+
+
+def shortage(brakings: float) -> dict[str, Any]:
+    return reason_entry(
+        Reason(Criterion.NOT_EXCITED, "brake_lag", brakings, 9.0, key="brakings", stage=RejectionStage.UNTESTABLE)
+    )
+
+
+@pytest.mark.parametrize(
+    ("more", "is_same"),
+    [
+        ({}, True),
+        ({"value": 3.0004}, True),  # shown with three digits
+        ({"value": 3.1}, False),
+        ({"signal": "steer_moves"}, False),
+        ({"name": "brake_fade"}, True),
+        ({"criterion": "idle_time"}, False),
+    ],
+)
+def test_obstacles_are_the_same_by_what_is_shown_of_them(more: dict[str, Any], is_same: bool) -> None:
+    before, after = (verdict("cannot_test", reasons=[entry]) for entry in (shortage(3.0), {**shortage(3.0), **more}))
+    assert has_same_obstacles(before, after) == is_same
+
+
+def test_the_search_alone_is_no_obstacle_and_an_answer_without_reasons_is_no_same_one() -> None:
+    old, found = verdict("cannot_test"), verdict("cannot_test", reasons=[shortage(3.0)])
+    assert not has_same_obstacles(old, old) and not has_same_obstacles(old, found)
+    screened = reason_entry(Reason(Criterion.SCREENED, "aero_drag", 0.5, 1.0, stage=RejectionStage.SCREENING))
+    assert has_same_obstacles(found, {**found, "reasons": [*found["reasons"], screened]})
 
 
 def test_cut_off_in_a_drive_it_goes_on_with_that_drive(bench: Bench, asked: GapOptions, wish: GapDriveOptions) -> None:

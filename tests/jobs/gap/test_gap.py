@@ -13,7 +13,7 @@ import pytest
 from msgspec.structs import replace
 
 from tests import other_vehicle
-from tests.gap.made_answer import SECONDS, VEHICLE, late_drive, made_kept, made_model
+from tests.gap.made_answer import SECONDS, VEHICLE, candidate, late_drive, made_kept, made_model
 from tests.learn.made_drives import made_drive
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
@@ -103,6 +103,29 @@ def test_the_page_begins_with_the_sentence_and_shows_recalibration_alone(search:
     assert "brake_fade: 2 brakings by 3 m/s or more, 12 are needed" in page
     assert "| 97 %; 95 % on the holdout blocks |" in page
     assert "`effects.steer_dead_time.delay_s`" in page
+
+
+def test_the_page_counts_what_the_search_rejected_and_shows_the_strongest(search: Search, tmp_path: Path) -> None:
+    entries = [
+        rejection(f"effect_{number}", criterion, stage, float(number))
+        for number in range(40)
+        for criterion, stage in (("screened", "screening"), ("evidence", "forward"), ("error_reduction", "forward"))
+    ]
+    candidates = [candidate(f"effect_{number}", float(number), False) for number in range(40)]
+    search.kept = made_kept(reasons=[{"name": "", "criterion": "nothing_broken"}, *entries], candidates=candidates)
+    result(asked(tmp_path))
+    page = (tmp_path / "out" / "gap.md").read_text()
+    verdict, _, rejected = page.partition("## Rejected candidates")
+    assert "nothing broken" in verdict and "effect_3 added" not in verdict
+    rejected = rejected.partition("\n## ")[0]
+    assert "| is not fitted | 40 | 40 |" in rejected and "| added | 40 | 80 |" in rejected
+    shown = [line for line in rejected.splitlines() if line.startswith("- ")]
+    assert [line.split()[1] for line in shown] == [f"effect_{number}" for number in (39, 38, 37, 36, 35)]
+    assert shown[0] == "- effect_39 added beside grade: its evidence is 39 nats, more than 60 are needed"
+
+
+def rejection(name: str, criterion: str, stage: str, value: float) -> dict[str, Any]:
+    return {"name": name, "criterion": criterion, "value": value, "limit": 60.0, "stage": stage, "beside": ["grade"]}
 
 
 def test_the_page_says_what_of_recalibration_was_left_and_what_could_have_been_foretold(
@@ -291,6 +314,9 @@ def test_one_log_of_several_that_says_no_speed_is_left_out(search: Search, tmp_p
     assert [one["name"] for one in data["logs"]] == ["late.log"] and data["model"] and data["older"] == []
     alone = result(asked(tmp_path, logs=[Path("mute.log")], out=tmp_path / "alone"))
     assert alone["verdict"] == "cannot_test"
+    assert alone["reasons"] == [{"name": "", "criterion": "no_motion"}]
+    left_out = [entry["signal"] for entry in data["reasons"] if entry["criterion"] == "log_without_speed"]
+    assert left_out == ["mute.log", "before.log"]
 
 
 def test_an_older_log_that_says_no_speed_takes_no_log_of_the_same_name_with_it(search: Search, tmp_path: Path) -> None:

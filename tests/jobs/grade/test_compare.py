@@ -17,7 +17,8 @@ from tunefree_hil.grade.metrics import METRICS
 from tunefree_hil.grade.profile import MetricValue, combine_values
 from tunefree_hil.grade.table import PUBLISHED
 from tunefree_hil.jobs.grade.compare import COMBINED, change_text, compare
-from tunefree_hil.jobs.grade.grade import GradeOptions, grade_log
+from tunefree_hil.jobs.grade.grade import grade_log
+from tunefree_hil.jobs.options.records import CompareOptions, GradeOptions
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,7 @@ def _no_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch)
 
 
 def compared(runs: list[str], out: Path, *conditions: str) -> tuple[list[Event], dict[str, Any]]:
-    events = list(compare(runs, fail_if=conditions, weights=None, out=out))
+    events = list(compare(CompareOptions(runs, conditions, out=out)))
     return events, events[-1].data
 
 

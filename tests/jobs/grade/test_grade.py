@@ -23,8 +23,9 @@ from tunefree_hil.grade.oscillation.report import (
     OscillationSignal,
 )
 from tunefree_hil.grade.table import PUBLISHED, TABLE
-from tunefree_hil.jobs.grade.grade import GradeOptions, grade_log
+from tunefree_hil.jobs.grade.grade import grade_log
 from tunefree_hil.jobs.log.convert import convert
+from tunefree_hil.jobs.options.records import GradeOptions
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ from tests.jobs.made_runs import made_drive, made_tune
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.grade.table import TABLE
-from tunefree_hil.jobs.grade.grade import GradeOptions
 from tunefree_hil.jobs.grade.run import grade_any, is_run
+from tunefree_hil.jobs.options.records import GradeOptions
 
 NOTHING: dict[str, Any] = {
     "vehicle": None,

@@ -48,7 +48,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
     out = tmp_path_factory.mktemp("models") / "made"
     with CompiledProcess() as worker:
         fitted, events = ended(fit_calibration(worker, split, VEHICLE))
-    write_calibrated_model(out, VEHICLE, fitted, split, build_card(drives, split, VEHICLE, fitted, 1, 12.0))
+    write_calibrated_model(out, VEHICLE, fitted, split, build_card(drives, split, VEHICLE, fitted, 1))
     yield {"out": out, "events": events, "fitted": fitted, "split": split}
 
 
@@ -224,7 +224,7 @@ def test_commands_that_never_move_are_one_clear_message() -> None:
 
 
 def test_a_short_drive_is_fitted_on_as_a_whole() -> None:
-    split, events = ended(split_drives_for_fit([made_drive(8.0)], 1))
+    split, events = ended(split_drives_for_fit([made_drive(8.0)], VEHICLE, 1))
     assert split.held_out == () and len(split.training) == 1
     assert events[0].kind == "warning" and "too short" in events[0].message
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from tunefree_hil.bus import open as bus_open
 from tunefree_hil.bus.socketcan.kernel_link import KernelLinkState
 from tunefree_hil.jobs.running import node_links
 from tunefree_hil.jobs.running.node_links import (
+    NodeLink,
     message_ids,
     open_exchange,
     require_unique_node,
@@ -99,15 +99,16 @@ def test_a_late_command_is_worse_than_none() -> None:
 def test_a_hub_of_the_other_kind_of_bench_is_refused_by_name(tmp_path: Path, realtime: bool) -> None:
     """Else its stamps are taken for times that they are not."""
     right, wrong = ("real", "sender") if realtime else ("sender", "real")
-    bench, where = load("bench_configs/mkz_steer.toml"), ("ecu", "tfhub", "")
+    bench = load("bench_configs/mkz_steer.toml")
     with thread_hub(tmp_path, clock=wrong) as hub:
-        with pytest.raises(InputError) as caught, open_exchange(bench, *where, hub.session, realtime=realtime):
+        link = NodeLink("tfhub", "", hub.session, realtime)
+        with pytest.raises(InputError) as caught, open_exchange(bench, "ecu", link):
             pass
         assert caught.value.code == "hub_clock"
         assert f"hub --session {hub.session} --clock {right}" in caught.value.hint
         with hub.member("ecu"):  # it has left: its name is free
             pass
-        with open_exchange(bench, *where, hub.session, realtime=not realtime):
+        with open_exchange(bench, "ecu", link._replace(realtime=not realtime)):
             pass
 
 
@@ -136,7 +137,6 @@ def _unless_no_hub(done: Ended) -> Ended | None:
 @pytest.mark.parametrize(("who", "refused"), [(bc.Role.CONTROLLER, True), (bc.Role.ECU, False)])
 def test_a_second_node_of_a_name_is_refused_without_a_hub(who: bc.Role, refused: bool) -> None:
     link: Any = FakeLink()
-    link.errors = Counter()
     link.arrive(*bc.hello_frames(who, "somebody", []))
     if refused:
         with pytest.raises(InputError, match="controller is on the bus already") as caught:

@@ -18,20 +18,21 @@ from tunefree_hil.bench import ControllerFor, load, parameters_of
 from tunefree_hil.bus.bench_channel import ErrorCode, HelloCollector, Role, State, Status
 from tunefree_hil.jobs.collector import PlannerAssigner, collector
 from tunefree_hil.jobs.controller import controller
+from tunefree_hil.jobs.options.nodes import NodeLink
 from tunefree_hil.jobs.running import node_main
 from tunefree_hil.nodes.controller import ControllerPart
 
-LINKS = {"bus": "tfhub", "bench_bus": "", "session": "nobody", "realtime": False}
+LINK = NodeLink("tfhub", session="nobody")
 END = Status(Role.RUNNER, State.END, ErrorCode.NONE, 0)
 
 
-class DescribedCode:
+class FakeExchange:
     """An exchange on which the runner says end at once, and what was said on it."""
 
     def __init__(self) -> None:
         self.said: list[Any] = []
 
-    def say(self, message: Any) -> None:
+    def send_messages(self, message: Any) -> None:
         self.said.append(message)
 
     def next_message(self, timeout_s: float) -> Status:
@@ -44,9 +45,9 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     found: list[tuple[Any, ...]] = []
 
     @contextmanager
-    def open_exchange(bench: Any, *names: str, realtime: bool) -> Iterator[Any]:
-        exchange = DescribedCode()
-        found.append((exchange, *names, realtime))
+    def open_exchange(bench: Any, name: str, link: NodeLink) -> Iterator[Any]:
+        exchange = FakeExchange()
+        found.append((exchange, name, *link))
         yield exchange, RealClock(), "a wire of this test"
 
     monkeypatch.setattr(node_main, "open_exchange", open_exchange)
@@ -59,7 +60,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
 def test_it_says_who_it_is_and_ends_when_told(
     job: Callable[..., Iterator[Event]], command: str, name: str, opened: list[tuple[Any, ...]], tmp_path: Path
 ) -> None:
-    note, result = job(write_bench(tmp_path), **LINKS)
+    note, result = job(write_bench(tmp_path), LINK)
     ((exchange, *asked),) = opened
     assert asked == ["controller", "tfhub", "", "nobody", False]
     heard = HelloCollector()
@@ -71,7 +72,7 @@ def test_it_says_who_it_is_and_ends_when_told(
 
 
 def test_the_controller_announces_what_its_parts_bring(opened: list[tuple[Any, ...]], tmp_path: Path) -> None:
-    list(controller(write_own(tmp_path), **LINKS))
+    list(controller(write_own(tmp_path), LINK))
     heard = HelloCollector()
     for message in opened[0][0].said:
         heard.add(message)
@@ -91,7 +92,7 @@ def test_each_has_what_drives_it(
     monkeypatch.setattr(node_main, "Node", kept)
     bench = write_bench(tmp_path)
     for job in (controller, collector):
-        list(job(bench, **LINKS))
+        list(job(bench, LINK))
     follows, collects = parts
     values = parameters_of(load(bench))
     assert isinstance(follows.assign, ControllerFor)

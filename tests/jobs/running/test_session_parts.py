@@ -13,7 +13,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.bus.open import BusChoice
 from tunefree_hil.jobs.running import session_parts as bench_parts
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 from tunefree_hil.jobs.running.session_parts import CommandPlaceholders, make_placeholders, socketcan_links, uses_hub
 
 BOTH = BusChoice("socketcan", "socketcan:vcan0", "socketcan:vcan1", "")
@@ -58,7 +58,9 @@ def test_another_command_takes_the_controllers_place(tmp_path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch, no_orphans(session):
         patch.setenv("BENCH_FILE", str(tmp_path / "b.toml"))
         words = tmp_path / "words"
-        with BenchSession(tmp_path / "b.toml", words, session=session, bus="tfhub", controller_command=command) as one:
+        with BenchSession(
+            tmp_path / "b.toml", words, BenchLaunch(session=session, bus="tfhub", controller_command=command)
+        ) as one:
             outcome = one.drive(bench.scenarios["tiny"], 3, parameters_of(bench), tmp_path)
     assert (outcome.ticks, outcome.error) == (50, "")
     vehicle, bus, channel, token_file = (tmp_path / "told").read_text().split()
@@ -73,7 +75,7 @@ def test_a_command_that_is_not_there_is_the_users(tmp_path: Path) -> None:
     session = new_session()
     with no_orphans(session):
         one = BenchSession(
-            file, tmp_path / "w", session=session, bus="tfhub", controller_command=["./no_such_controller"]
+            file, tmp_path / "w", BenchLaunch(session=session, bus="tfhub", controller_command=["./no_such_controller"])
         )
         with pytest.raises(InputError, match=r"cannot start the controller \./no_such_controller"), one:
             pass

@@ -16,6 +16,7 @@ from tests.jobs.made_runs import made_drive, made_tune
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load
 from tunefree_hil.grade.score import FINISHED, ScenarioGrade
+from tunefree_hil.jobs.options.records import ExplainOptions
 from tunefree_hil.jobs.run_folder import open_run
 from tunefree_hil.jobs.tune import explain as job
 from tunefree_hil.tune.study import read_study
@@ -67,7 +68,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> type[FakeBatch]:
 
 
 def test_the_difference_adds_up_to_the_scores(run: Path) -> None:
-    *_, last = job.explain(run, points=5, slices=False)
+    *_, last = job.explain(ExplainOptions(run, points=5, slices=False))
     data = last.data
     with read_study(run / "study.db") as study:
         best, baselines = study.best(), study.baselines()
@@ -83,7 +84,7 @@ def test_the_difference_adds_up_to_the_scores(run: Path) -> None:
 
 
 def test_slices_change_one_value_at_a_time(run: Path, fake: type[FakeBatch]) -> None:
-    events = list(job.explain(run, points=5, slices=True))
+    events = list(job.explain(ExplainOptions(run, points=5)))
     data = events[-1].data
     winner = data["winner"]["parameters"]
     vectors = fake.seen[::2]
@@ -123,7 +124,7 @@ def test_what_no_batch_drives_has_no_slices_and_the_reason(
     (other / "bench.toml").write_text(write_bench(tmp_path / "b", scenarios=("tiny", "other"), more=more).read_text())
     folder = open_run(other)
     folder.add_to_record(joined=joined)
-    *events, last = job.explain(other, points=5, slices=True)
+    *events, last = job.explain(ExplainOptions(other, points=5))
     (warning,) = [event.message for event in events if event.kind == "warning"]
     assert warning.startswith("no slices through the winner: ") and words in warning
     assert last.data["slices"] == {} and "better point" not in last.message
@@ -184,10 +185,10 @@ def test_a_winner_that_is_worse_is_said_to_be(run: Path) -> None:
 def test_what_is_no_tune_or_not_finished(run: Path, tmp_path: Path) -> None:
     drive = made_drive(write_bench(tmp_path, duration_s=0.5), tmp_path / "runs", "d", {})
     with pytest.raises(InputError, match="is a run of 'drive'"):
-        list(job.explain(drive, points=5, slices=False))
+        list(job.explain(ExplainOptions(drive, slices=False)))
     unfinished = tmp_path / "u"
     unfinished.mkdir()
     (unfinished / "run.json").write_text((run / "run.json").read_text())
     (unfinished / "bench.toml").write_text((run / "bench.toml").read_text())
     with pytest.raises(InputError, match="not finished"):
-        list(job.explain(unfinished, points=5, slices=False))
+        list(job.explain(ExplainOptions(unfinished, slices=False)))

@@ -11,10 +11,11 @@ from tests.bench.tiny import write_bench
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import load
 from tunefree_hil.config.dump import to_toml
+from tunefree_hil.jobs.options.records import TuneOptions
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_text
 from tunefree_hil.jobs.tune.candidates import read_winner
 from tunefree_hil.jobs.tune.folder import LOCK, open_run_folder
-from tunefree_hil.jobs.tune.options import TuneOptions, TunePlan, make_tune_plan
+from tunefree_hil.jobs.tune.options import TunePlan, make_tune_plan
 from tunefree_hil.tune.store import exclusive_lock
 
 SHARED = "postgresql://me@host/studies#mine"
@@ -39,7 +40,7 @@ def test_a_new_run_says_what_it_is_and_can_be_read_by_itself(wish: TunePlan) -> 
     run, old = entered(wish)
     assert not old and run.path.name.endswith("-tune-b")
     record = open_run(run.path).record
-    assert record["seed"] == wish.settings.seed and record["bench"] == str(wish.options.bench)
+    assert record["seed"] == wish.settings.seed and record["bench"] == str(wish.bench_file)
     assert record["hashes"] == wish.identity["hashes"] and record["complete"] is False
     (scenario,) = load(run.bench_file()).scenarios.values()
     assert scenario.hash == wish.bench.scenarios["tiny"].hash
@@ -58,7 +59,7 @@ def test_a_run_that_was_cut_off_is_gone_on_with_and_what_was_half_written_is_gon
 def test_a_run_that_goes_on_verifies_on_what_the_bench_file_names_now(wish: TunePlan) -> None:
     first, _ = entered(wish)
     (first.path / "bench.toml").unlink()  # cut off before it was written, by an earlier version
-    bench = wish.options.bench
+    bench = wish.bench_file
     bench.write_text(bench.read_text().replace('\nverify_scenarios = ["tiny"]', "\nverify_scenarios = []"))
     run, old = entered(again(wish))
     assert old and run.path == first.path
@@ -94,7 +95,7 @@ def test_a_run_to_resume_must_be_of_the_same_files_and_study(wish: TunePlan) -> 
     with pytest.raises(InputError, match="its study is in its study") as caught:
         entered(told._replace(study_address=SHARED))
     assert caught.value.key == "--study"
-    scenario = wish.options.bench.parent / "scenarios" / "tiny.toml"
+    scenario = wish.bench_file.parent / "scenarios" / "tiny.toml"
     scenario.write_text(scenario.read_text().replace("noise_seed = 3", "noise_seed = 4"))
     with pytest.raises(InputError, match="files of the run have changed") as caught:
         entered(again(wish, resume=first.path))

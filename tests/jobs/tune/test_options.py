@@ -10,8 +10,9 @@ import pytest
 
 from tests.bench.tiny import write_bench
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.jobs.options.records import TuneOptions
 from tunefree_hil.jobs.tune.folder import open_run_folder
-from tunefree_hil.jobs.tune.options import TuneOptions, TunePlan, make_tune_plan
+from tunefree_hil.jobs.tune.options import TunePlan, make_tune_plan
 
 BEGUN: dict[str, Any] = {
     "trials": 5, "set_name": "lateral", "sampler": "tpe_relative", "seed": 7, "scale": "linear", "verify": False,
@@ -28,7 +29,7 @@ def begun(folder: Path, **more: Any) -> Path:
 
 def resumed(run: Path, **more: Any) -> TunePlan:
     """`tune --resume RUN`, as the command line hands it on."""
-    return make_tune_plan(TuneOptions(run / "bench.toml", resume=run, **more))
+    return make_tune_plan(TuneOptions(resume=run, **more))
 
 
 def test_a_run_goes_on_with_the_options_that_it_was_begun_with(tmp_path: Path) -> None:

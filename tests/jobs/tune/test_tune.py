@@ -16,10 +16,11 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import parameters_of
 from tunefree_hil.bus.bench_channel import HelloCollector, Role, hello_messages
+from tunefree_hil.jobs.options.records import TuneOptions
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.jobs.tune import tune
 from tunefree_hil.jobs.tune.evaluators import VectorCandidate
-from tunefree_hil.jobs.tune.options import TuneOptions, TunePlan, make_tune_plan
+from tunefree_hil.jobs.tune.options import TunePlan, make_tune_plan
 from tunefree_hil.tune.trial import Evaluation, Trial
 
 WINNER = Trial(4, 4, {"mrac.t_ref_s": 0.1, "mrac.p": 0.001}, 0.25, {})

@@ -17,10 +17,10 @@ from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.bench.parallel import Fleet
 from tunefree_hil.config.dump import to_toml
 from tunefree_hil.grade.margins import NOMINAL, SWEEPS
+from tunefree_hil.jobs.options.records import VerifyOptions
 from tunefree_hil.jobs.run_folder import write_text
 from tunefree_hil.jobs.tune import margins, verify
 from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
-from tunefree_hil.jobs.tune.options import VerifyOptions
 
 FEW = {
     "friction": (NOMINAL._replace(friction=0.8), NOMINAL._replace(friction=0.6)),

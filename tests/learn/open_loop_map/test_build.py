@@ -11,10 +11,10 @@ import pytest
 from tests.learn.made_pedals import DEAD_S, LAG_S, REST, law, pedal_drive, some_drive, vehicle
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.control.calibration_map import from_triples
+from tunefree_hil.learn.compiled_process import exhaust
 from tunefree_hil.learn.open_loop_map.build import (
     GatheredSamples,
     LearnedMap,
-    exhaust,
     gather_samples,
     learn_map,
     select_points,

@@ -103,6 +103,7 @@ def test_only_of_what_was_tried_a_card_says_that_it_does_not_pay() -> None:
     for name in SHAPE_CONSTANTS:
         value = end.value.value.estimates[name]
         assert not value.known and value.why.startswith("the logs lack the outputs that it needs"), name
+        assert value.is_needed
 
 
 @pytest.mark.slow
@@ -125,6 +126,7 @@ def test_a_plain_car_stays_plain() -> None:
     for name in SHAPE_CONSTANTS:
         value = found.estimates[name]
         assert not value.known and value.value == DEFAULTS.get(name, 0.0) and value.why == NO_IMPROVEMENT
+        assert not value.is_needed
         assert found.params.get(name, 0.0) == DEFAULTS.get(name, 0.0)
     assert (
         POWERTRAIN_LAG in SHAPE_CONSTANTS
@@ -163,6 +165,7 @@ def test_constants_are_not_fitted_beside_a_lag_that_stays_out_of_the_model() -> 
         )
     assert not found.estimates[POWERTRAIN_LAG].known and found.output_correction().throttle_lag_s == 0.0
     assert found.estimates[POWERTRAIN_LAG].why == NOT_SIGNIFICANT, "it would have paid"
+    assert found.estimates[POWERTRAIN_LAG].is_needed
     assert found.rms_after["speed_mps"] == pytest.approx(compute_target_rms(written)["speed_mps"], rel=0.02)
     assert found.rms_after["speed_mps"] > 0.05, "it is the worse for it, and says so"
 

@@ -13,7 +13,13 @@ from tests.learn.training.made import REST, physics, track  # noqa: E402
 from tunefree_hil.base.errors import InputError  # noqa: E402
 from tunefree_hil.learn.evaluation.motion import MotionTrack  # noqa: E402
 from tunefree_hil.learn.training import loop  # noqa: E402
-from tunefree_hil.learn.training.fit import DEFAULT_STEPS, estimate_affordable_steps, make_learner, train_plant  # noqa: E402
+from tunefree_hil.learn.training.fit import (  # noqa: E402
+    DEFAULT_STEPS,
+    TrackSplit,
+    estimate_affordable_steps,
+    make_learner,
+    train_plant,
+)
 from tunefree_hil.learn.training.learners import TrainingPlan  # noqa: E402
 from tunefree_hil.learn.training.loop import TrainingResult, read_planned_steps, run_training, schedule_evaluations  # noqa: E402
 from tunefree_hil.learn.training.windows import draw_rows, find_window_starts, make_pool  # noqa: E402
@@ -74,14 +80,14 @@ def cut_off_it_ends_the_same(
     wish: TrainingPlan, tracks: tuple[list[MotionTrack], list[MotionTrack]], part: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Train whole; train again, cut off after nine words of it and taken up from `part`; compare every weight."""
-    whole = ended(train_plant(wish, *tracks, physics(), REST, None))
+    whole = ended(train_plant(wish, TrackSplit(*tracks), physics(), REST, None))
     monkeypatch.setattr(loop, "CHECKPOINT_INTERVAL_S", 0.0)
     monkeypatch.setattr(loop, "PROGRESS_INTERVAL_S", 0.0)
-    cut = train_plant(wish, *tracks, physics(), REST, part)
+    cut = train_plant(wish, TrackSplit(*tracks), physics(), REST, part)
     for _ in range(9):
         next(cut)
     cut.close()
-    again = ended(train_plant(wish, *tracks, physics(), REST, part))
+    again = ended(train_plant(wish, TrackSplit(*tracks), physics(), REST, part))
     assert again.is_resumed and again.steps == whole.steps == wish.steps
     assert all(np.array_equal(again.arrays[name], whole.arrays[name]) for name in whole.arrays)
 
@@ -192,18 +198,15 @@ class Timed(Bowl):
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
         super().__init__()
-        self.seconds, self.planned = seconds, 0
+        self.seconds, self.steps = seconds, 0
         monkeypatch.setattr("tunefree_hil.learn.training.fit.time.process_time", lambda: self.now)
-
-    def set_steps(self, steps: int) -> None:
-        self.planned = steps
 
     def loss(self, step: int) -> torch.Tensor:
         self.now += self.seconds * self.cost(step)
         return super().loss(step)
 
     def cost(self, step: int) -> float:
-        return 1.0 if step < 0.9 * self.planned else 11.0
+        return 1.0 if step < 0.9 * self.steps else 11.0
 
 
 def test_minutes_are_as_many_steps_as_this_machine_has_time_for(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -245,24 +248,26 @@ def test_every_kind_has_its_steps() -> None:
 
 def test_nothing_to_learn_from_is_said() -> None:
     with pytest.raises(InputError, match="no stretch to learn from"):
-        ended(train_plant(TrainingPlan("hybrid", 1, 1), [], [track(1)], physics(), REST, None))
+        ended(train_plant(TrainingPlan("hybrid", 1, 1), TrackSplit([], [track(1)]), physics(), REST, None))
     short = track(2)._replace(is_good=np.zeros(track(2).n_rows, dtype=bool))
     with pytest.raises(InputError, match="training drives hold no stretch"):
-        ended(train_plant(TrainingPlan("hybrid", 1, 1), [short], [track(1)], physics(), REST, None))
+        ended(train_plant(TrainingPlan("hybrid", 1, 1), TrackSplit([short], [track(1)]), physics(), REST, None))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "share"), [("hybrid", 0.8), ("lstm", 0.9)])
 def test_a_little_training_lowers_the_held_out_error(kind: str, share: float) -> None:
     wish = TrainingPlan(kind, 1, 10, batch=32)
-    trained = ended(train_plant(wish, [track(1), track(2)], [track(3)], physics(), REST, None))
+    trained = ended(train_plant(wish, TrackSplit([track(1), track(2)], [track(3)]), physics(), REST, None))
     assert trained.stopped == "" and trained.score < share * trained.untrained_score
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "steps", "share"), [("mlp", 40, 0.8), ("paper", 16, 0.95)])
 def test_one_step_training_lowers_the_held_out_error(kind: str, steps: int, share: float) -> None:
-    trained = ended(train_plant(TrainingPlan(kind, 1, steps), [track(1), track(2)], [track(3)], physics(), REST, None))
+    trained = ended(
+        train_plant(TrainingPlan(kind, 1, steps), TrackSplit([track(1), track(2)], [track(3)]), physics(), REST, None)
+    )
     assert trained.score < share * trained.untrained_score
 
 

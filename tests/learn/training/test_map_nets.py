@@ -43,6 +43,10 @@ def test_a_net_is_equation_one() -> None:
     assert one.predict_acceleration(np.zeros((3, 4)), np.zeros((3, 4))).shape == (3, 4)
 
 
+def net_data(points: CellPoints, held_out: CellPoints | None = None) -> map_nets.MapNetData:
+    return map_nets.MapNetData(points, held_out, map_nets.scales_from_points(points))
+
+
 class TestTraining:
     @pytest.fixture(autouse=True)
     def _torch(self) -> None:
@@ -50,23 +54,21 @@ class TestTraining:
 
     def test_it_learns_a_curved_law(self) -> None:
         points, unseen = bowl(), bowl(1)
-        trained = map_nets.train_map_net(points, unseen, map_nets.scales_from_points(points), 8, 1)
+        trained = map_nets.train_map_net(net_data(points, unseen), 8, 1)
         assert trained.is_complete and trained.held_out_mps2 < 0.02
         assert compute_rms(compute_cell_errors(trained.net.predict_acceleration, unseen)) == pytest.approx(
             trained.held_out_mps2
         )
 
     def test_the_same_seed_gives_the_same_net_another_one_another(self) -> None:
-        points = bowl()
-        scales = map_nets.scales_from_points(points)
-        one, same, other = (map_nets.train_map_net(points, None, scales, 5, seed, rounds=2).net for seed in (1, 1, 2))
+        data = net_data(bowl())
+        one, same, other = (map_nets.train_map_net(data, 5, seed, rounds=2).net for seed in (1, 1, 2))
         assert np.array_equal(one.w_out, same.w_out) and not np.array_equal(one.w_out, other.w_out)
 
     def test_the_width_whose_mean_net_is_best_is_chosen(self) -> None:
         points, unseen = bowl(), bowl(1)
-        scales = map_nets.scales_from_points(points)
-        good = [map_nets.train_map_net(points, unseen, scales, 8, seed) for seed in (1, 2)]
-        poor = [map_nets.train_map_net(points, None, scales, 3, seed, rounds=1) for seed in (1, 2)]
+        good = [map_nets.train_map_net(net_data(points, unseen), 8, seed) for seed in (1, 2)]
+        poor = [map_nets.train_map_net(net_data(points), 3, seed, rounds=1) for seed in (1, 2)]
         group, error = map_nets.select_width([*poor, *good], unseen)
         assert [one.net.width for one in group] == [8, 8] and error < 0.02
         mean = sum(one.net.predict_acceleration(unseen.speed_mps, unseen.command_frac) for one in good) / 2.0
@@ -77,7 +79,7 @@ class TestTraining:
     def test_numbers_that_are_not_finite_stop_the_training_and_the_best_is_kept(self) -> None:
         points = bowl()
         broken = points._replace(accel_mps2=np.where(points.cell == 3, np.nan, points.accel_mps2))
-        trained = map_nets.train_map_net(broken, points, map_nets.scales_from_points(points), 3, 1)
+        trained = map_nets.train_map_net(net_data(points, points)._replace(training=broken), 3, 1)
         assert not trained.is_complete
         assert np.all(np.isfinite(trained.net.w_out))
 
@@ -85,5 +87,5 @@ class TestTraining:
         import torch
 
         before = torch.get_num_threads()
-        map_nets.train_map_net(bowl(), None, map_nets.scales_from_points(bowl()), 3, 1, rounds=1)
+        map_nets.train_map_net(net_data(bowl()), 3, 1, rounds=1)
         assert torch.get_num_threads() == before

@@ -76,7 +76,7 @@ def test_training_reaches_the_net_in_every_stage_but_the_blind_input(learner: Fr
 
 
 def test_the_pace_falls_within_guided_and_within_free_run(learner: FreeRunLearner) -> None:
-    learner.set_steps(100)
+    learner.steps = 100
     guided, free = (
         [learner.rate_share(step) for step in range(96)],
         [learner.rate_share(step) for step in range(96, 100)],

@@ -24,7 +24,7 @@ from tunefree_hil.bus.dbc.network import signal_map
 if TYPE_CHECKING:
     from cantools.database.can import Message
 
-    from tunefree_hil.config.schema import E2eSpec, FieldSpec, VehicleSpec
+    from tunefree_hil.config.schema import E2eSpec, ExtraSpec, FieldSpec, VehicleSpec
 
 ROLES = ("enable", "clear", "ignore", "counter", "checksum")
 WHEELS = "wheel_speed_radps"
@@ -88,13 +88,15 @@ def _build(spec: VehicleSpec, message: Message, channel: str, members: list[Entr
     signals = {signal.name: signal_map(signal, message.length) for signal in message.signals}
     fields = tuple(_field(entry, signals) for entry in members)
     roles = {role: _first(getattr(entry.spec, role) for entry in members) for role in ROLES}
-    e2e = _e2e(spec, message.name, members)
+    extra = spec.extra.get(message.name)
+    declarations = [*(entry.spec for entry in members), *([extra] if extra else [])]
+    e2e = _e2e(declarations)
     if e2e is not None:
         roles["counter"] = roles["counter"] or e2e.counter
         roles["checksum"] = roles["checksum"] or e2e.crc
     protection = _protection(e2e, signals, message.length)
     states = _states(spec, message.name)
-    constants = _constants(spec, message.name, members)
+    constants = {name: value for one in reversed(declarations) for name, value in one.constants.items()}
     raw = {name for name in roles.values() if name} | {state.signal for state in states}
     return MessageMap(
         name=message.name,
@@ -108,8 +110,7 @@ def _build(spec: VehicleSpec, message: Message, channel: str, members: list[Entr
         fields=fields,
         counter_modulus=_modulus(protection, signals, roles["counter"]),
         channel=channel,
-        allow_truncated=_truncated(spec, message.name, members),
-        constants=constants,
+        allow_truncated=any(one.allow_truncated for one in declarations),
         bywire=_bywire(fields, states),
         states=states,
         signals=signals,
@@ -121,9 +122,9 @@ def _build(spec: VehicleSpec, message: Message, channel: str, members: list[Entr
     )
 
 
-def _e2e(spec: VehicleSpec, name: str, members: list[Entry]) -> E2eSpec | None:
+def _e2e(declarations: Iterable[FieldSpec | ExtraSpec]) -> E2eSpec | None:
     """A message's protection: as declared by any of its fields, or its [extra] entry. None: none."""
-    declared = [entry.spec.e2e for entry in members] + ([spec.extra[name].e2e] if name in spec.extra else [])
+    declared = [one.e2e for one in declarations]
     chosen = [one for one in declared if one.profile != "none"] or [one for one in declared if one.counter]
     return chosen[0] if chosen else None
 
@@ -181,19 +182,6 @@ def period_ms(spec: VehicleSpec, message: Message, members: list[Entry]) -> int:
     if message.name in spec.extra:
         return spec.extra[message.name].period_ms
     return message.cycle_time or spec.tick_ms
-
-
-def _truncated(spec: VehicleSpec, name: str, members: list[Entry]) -> bool:
-    if name in spec.extra and spec.extra[name].allow_truncated:
-        return True
-    return any(entry.spec.allow_truncated for entry in members)
-
-
-def _constants(spec: VehicleSpec, name: str, members: list[Entry]) -> dict[str, float]:
-    constants = dict(spec.extra[name].constants) if name in spec.extra else {}
-    for entry in members:
-        constants.update(entry.spec.constants)
-    return constants
 
 
 def _field(entry: Entry, signals: Mapping[str, SignalMap]) -> FieldMap:

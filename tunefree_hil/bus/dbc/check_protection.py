@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 from tunefree_hil.bus.dbc.e2e import DATA_IDS, ID_MODES, MODULI, PROFILES
+from tunefree_hil.bus.dbc.network import nearest
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -51,9 +51,7 @@ def _role(key: str, role: str, e2e: E2eSpec, message: Message, used: Collection[
         return
     signals = {signal.name: signal for signal in message.signals}
     if name not in signals:
-        close = difflib.get_close_matches(name, signals, n=1, cutoff=0.5)
-        hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(sorted(signals))}"
-        yield ProtectionProblem(where, f"message {message.name} has no signal {name!r}", hint)
+        yield ProtectionProblem(where, f"message {message.name} has no signal {name!r}", nearest(name, signals))
     elif name in used:
         yield ProtectionProblem(where, f"{name} holds a value of its own", "name the signal that has this role")
     elif e2e.profile != "none":

@@ -5,7 +5,6 @@ config/check_vehicle.py checks vehicle.toml by itself when it is loaded.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -15,7 +14,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.dbc.build_map import ROLES, Entry, by_message, entries, period_ms
 from tunefree_hil.bus.dbc.check_protection import check_protection
 from tunefree_hil.bus.dbc.check_units import check_unit
-from tunefree_hil.bus.dbc.network import bit_range, declared_raw, overlaps, raw_range, read_network, signal_map
+from tunefree_hil.bus.dbc.network import bit_range, declared_raw, nearest, overlaps, raw_range, read_network, signal_map
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
@@ -41,13 +40,6 @@ def one_error(problems: list[InputError]) -> InputError:
     return InputError(
         f"{len(problems)} things do not fit:\n{listed}", code="vehicle", file=problems[0].file, hint="correct them all"
     )
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """A hint: the name that was probably meant, or all known ones."""
-    known = sorted(known)
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {close[0]}?" if close else f"there are {', '.join(known) or 'none'}"
 
 
 class _Check:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.base.records import NAN, CanFrame, Command, Ins, Report
+from tunefree_hil.base.records import GROUPS, NAN, CanFrame, Command, Ins, Report
 from tunefree_hil.bus.dbc.build_map import build_messages
 from tunefree_hil.bus.dbc.check_vehicle import check_vehicle, one_error
 from tunefree_hil.bus.dbc.encode_plan import read_float
@@ -111,10 +111,6 @@ class Codec:
             payload = (int.from_bytes(payload, "big") | big).to_bytes(size, "big")
         return payload if length is None else payload[:length]
 
-    def fits(self, message: MessageMap, data: bytes) -> bool:
-        """Whether `decode` accepts a payload of this length."""
-        return message.fits(data)
-
     def decode(self, message: MessageMap, data: bytes) -> dict[str, float]:
         """Physical values by signal name; raw values of signals with a role or a state. Excess bytes are ignored.
 
@@ -182,18 +178,11 @@ def _special_bits(field: FieldMap, value: float) -> tuple[int, int]:
 def _read(plan: Plan, data: bytes) -> dict[str, float]:
     """Every signal of a payload of full length."""
     little = int.from_bytes(data, "little")
-    decoded: dict[str, float] = {
-        name: ((little >> shift & mask) ^ sign) - sign for name, shift, mask, sign in plan.plain_little
-    }
-    for name, shift, mask, sign, factor, offset in plan.scaled_little:
-        decoded[name] = (((little >> shift & mask) ^ sign) - sign) * factor + offset
-    if not (plan.plain_big or plan.scaled_big or plan.floats):
-        return decoded
     big = int.from_bytes(data, "big")
-    for name, shift, mask, sign in plan.plain_big:
-        decoded[name] = ((big >> shift & mask) ^ sign) - sign
-    for name, shift, mask, sign, factor, offset in plan.scaled_big:
-        decoded[name] = (((big >> shift & mask) ^ sign) - sign) * factor + offset
+    decoded: dict[str, float] = {}
+    for payload, steps in ((little, plan.reads_little), (big, plan.reads_big)):
+        for name, shift, mask, sign, factor, offset in steps:
+            decoded[name] = (((payload >> shift & mask) ^ sign) - sign) * factor + offset
     for signal in plan.floats:
         decoded[signal.name] = read_float(signal, little, big)
     return decoded
@@ -204,11 +193,7 @@ class Snapshot:
 
     def __init__(self, codec: Codec) -> None:
         self.codec = codec
-        self._groups = {
-            "command": [NAN] * len(Command._fields),
-            "report": [NAN] * len(Report._fields),
-            "ins": [NAN] * len(Ins._fields),
-        }
+        self._groups = {group: [NAN] * len(record._fields) for group, record in GROUPS.items()}
         self._direct = {m: steps for m in (*codec.commands, *codec.telemetry) if (steps := self._steps(m)) is not None}
 
     def receive(self, message: MessageMap, data: bytes) -> dict[str, float]:

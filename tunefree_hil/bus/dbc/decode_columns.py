@@ -58,7 +58,7 @@ def fit(message: MessageMap, payloads: Payloads) -> Payloads:
 
 
 def are_long_enough(message: MessageMap, payloads: Payloads) -> Array:
-    """bool [n]: Codec.fits of each."""
+    """bool [n]: MessageMap.fits of each."""
     return (payloads.size >= message.length) | message.allow_truncated
 
 
@@ -100,8 +100,8 @@ def decode_signal(message: MessageMap, name: str, payloads: Payloads) -> Array:
     signal = message.signals[name]
     if signal.is_float:
         return _float_values(signal, payloads.data)
-    steps = (*message.plan.scaled_little, *message.plan.scaled_big)
-    factor, offset = next(((one.factor, one.offset) for one in steps if one.name == name), (1, 0))
+    steps = (*message.plan.reads_little, *message.plan.reads_big)
+    factor, offset = next((step.factor, step.offset) for step in steps if step.name == name)
     if signal.bits + abs(int(factor)).bit_length() > EXACT_BITS:
         return _long_values(signal, factor, offset, payloads.data)
     raw = _raw(signal, payloads.data).astype(np.int64)

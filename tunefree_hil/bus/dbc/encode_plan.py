@@ -15,10 +15,8 @@ def make_plan(
     """The plan of one message. `raw`: signals that decode leaves as their raw integer (roles and states)."""
     fields = tuple(fields)
     little, big = _constant_bits(signals, constants)
-    steps = [_read_step(signal, signal.name in raw) for signal in signals.values() if not signal.is_float]
-    ends = {name: signal.big_endian for name, signal in signals.items()}
-    plain = [step for step in steps if step.factor == 1 and step.offset == 0]
-    scaled = [step for step in steps if not (step.factor == 1 and step.offset == 0)]
+    reads = [_read_step(signal, signal.name in raw) for signal in signals.values() if not signal.is_float]
+    reads.sort(key=lambda step: (step.factor, step.offset) != (1, 0))  # the order in which decode lists the signals
     return Plan(
         little=little,
         big=big,
@@ -28,10 +26,8 @@ def make_plan(
         ),
         special=tuple(field for field in fields if not _is_simple(field)),
         raws={s.name: (s.mask, s.shift, ~(s.mask << s.shift), s.big_endian) for s in signals.values()},
-        plain_little=tuple(step[:4] for step in plain if not ends[step.name]),
-        plain_big=tuple(step[:4] for step in plain if ends[step.name]),
-        scaled_little=tuple(step for step in scaled if not ends[step.name]),
-        scaled_big=tuple(step for step in scaled if ends[step.name]),
+        reads_little=tuple(step for step in reads if not signals[step.name].big_endian),
+        reads_big=tuple(step for step in reads if signals[step.name].big_endian),
         floats=tuple(signal for signal in signals.values() if signal.is_float),
         values=tuple(
             (f.group, f.index, tuple((term.signal.name, term.scale) for term in f.terms), f.scale, f.offset)
@@ -42,7 +38,8 @@ def make_plan(
 
 def _read_step(signal: SignalMap, raw: bool) -> ReadStep:
     sign = 1 << (signal.bits - 1) if signal.signed else 0
-    factor, offset = (1, 0) if raw else (signal.factor, signal.offset)
+    is_plain = raw or (signal.factor == 1 and signal.offset == 0)
+    factor, offset = (1, 0) if is_plain else (signal.factor, signal.offset)  # 1, 0: a plain value stays an int
     return ReadStep(signal.name, signal.shift, signal.mask, sign, factor, offset)
 
 

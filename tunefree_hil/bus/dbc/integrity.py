@@ -7,27 +7,13 @@ frame of a protected message only initialises the counter, so its values are not
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, NamedTuple
 
-from tunefree_hil.bus.dbc.e2e import PROFILES, is_intact, read_nibble
+from tunefree_hil.bus.dbc.e2e import is_intact, read_nibble
 
 if TYPE_CHECKING:
     from tunefree_hil.bus.dbc.message_map import MessageMap
-
-__all__ = [
-    "PROFILES",
-    "VALID_STATUSES",
-    "CounterCheck",
-    "CounterStep",
-    "E2eStatus",
-    "Order",
-    "Receiver",
-    "check_counter",
-    "check_e2e",
-    "next_counter",
-]
 
 
 class Order(Enum):
@@ -78,11 +64,6 @@ class CounterStep(NamedTuple):
     lost: int
 
 
-def next_counter(counter: int, modulus: int) -> int:
-    """The value after `counter` of a counter that rolls over at `modulus`."""
-    return (counter + 1) % modulus
-
-
 def check_counter(last: int | None, counter: int, modulus: int, max_delta: int = 1) -> CounterStep:
     """How `counter` follows `last` (None: no frame yet). max_delta: the widest step that still passes."""
     if last is None:
@@ -95,26 +76,8 @@ def check_counter(last: int | None, counter: int, modulus: int, max_delta: int =
     return CounterStep(Order.SOME_LOST if delta <= max_delta else Order.WRONG, delta - 1)
 
 
-class CounterCheck:
-    """Watches one message's counter. A wrong step is a new start, as after a restart of the sender."""
-
-    def __init__(self, modulus: int, max_delta: int = 1) -> None:
-        self.modulus = modulus
-        self.max_delta = max_delta
-        self.last: int | None = None
-        self.repeats = 0  # in a row
-
-    def receive(self, counter: float) -> CounterStep:
-        """Take in the next frame's counter."""
-        value = int(counter)
-        counted = check_counter(self.last, value, self.modulus, self.max_delta)
-        self.repeats = self.repeats + 1 if counted.order is Order.REPEATED else 0
-        self.last = value
-        return counted
-
-
 class Receiver:
-    """Watches one message over time, ticks of the vehicle's. `receive` each frame; `look` once at the end of a tick.
+    """Watches one message over time, ticks of the vehicle's. `receive` each frame, then `end_tick`.
 
     The step that the counter may make grows by one for each period without a valid frame, as in AUTOSAR's receiver;
     when it would allow any step, or after a wrong one, the counter starts anew and the next frame is the first valid
@@ -150,7 +113,7 @@ class Receiver:
         self.counts[status] += 1
         return status
 
-    def look(self, tick: int) -> bool:
+    def end_tick(self, tick: int) -> bool:
         """End a tick; True where the message is overdue at it, which is counted once a period."""
         if tick < self._due_at:
             return False
@@ -186,27 +149,4 @@ class Receiver:
             return read_nibble(data, self.protection.counter_at)
         if message.signals[message.counter].end_bit > 8 * len(data):
             return None
-        mask, shift, _, big_endian = message.plan.raws[message.counter]
-        whole = data[: message.length].ljust(message.length, b"\0")
-        return int.from_bytes(whole, "big" if big_endian else "little") >> shift & mask
-
-
-def check_e2e(message: MessageMap, frames: Iterable[tuple[float, bytes]], tick_s: float = 0.01) -> dict[str, int]:
-    """E2E statuses of recorded frames (time_s, payload) of one message: {status: frames}.
-
-    Statuses by name in lower case ('ok', 'wrong_crc', ...), those that never occurred left out; 'no_new_data' counts
-    periods. Empty for a message with neither CRC nor counter.
-    """
-    if message.e2e is None and not message.counter:
-        return {}
-    receiver = Receiver(message)
-    first_s = None
-    before = 0
-    for time_s, data in frames:
-        first_s = time_s if first_s is None else first_s
-        tick = max(before, round((time_s - first_s) / tick_s))
-        for silent in range(before, tick):
-            receiver.look(silent)
-        receiver.receive(tick, data)
-        before = tick
-    return {status.name.lower(): count for status in E2eStatus if (count := receiver.counts[status])}
+        return message.read_raw(message.counter, data)

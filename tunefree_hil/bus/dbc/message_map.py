@@ -88,7 +88,7 @@ class StateMap(NamedTuple):
 
 
 class ReadStep(NamedTuple):
-    """value = (((payload >> shift) & mask) ^ sign) - sign, then * factor + offset unless it is plain."""
+    """value = ((((payload >> shift) & mask) ^ sign) - sign) * factor + offset."""
 
     name: str
     shift: int
@@ -122,10 +122,8 @@ class Plan(NamedTuple):
     simple: tuple[tuple[str, tuple[WriteStep, ...]], ...]  # by group
     special: tuple[FieldMap, ...]  # sums and headings
     raws: Mapping[str, tuple[int, int, int, bool]]  # signal -> mask, shift, mask of the other bits, big-endian
-    plain_little: tuple[tuple[str, int, int, int], ...]
-    plain_big: tuple[tuple[str, int, int, int], ...]
-    scaled_little: tuple[ReadStep, ...]
-    scaled_big: tuple[ReadStep, ...]
+    reads_little: tuple[ReadStep, ...]
+    reads_big: tuple[ReadStep, ...]
     floats: tuple[SignalMap, ...]
     values: tuple[tuple[str, int, tuple[tuple[str, float], ...], float, float], ...]
 
@@ -151,7 +149,6 @@ class MessageMap:
     counter_modulus: int  # 0: no counter
     channel: str
     allow_truncated: bool
-    constants: Mapping[str, float]
     bywire: tuple[str, ...]
     states: tuple[StateMap, ...]
     signals: Mapping[str, SignalMap] = field(repr=False)
@@ -166,5 +163,11 @@ class MessageMap:
         return self.can_id | EXTENDED_FLAG if self.extended else self.can_id
 
     def fits(self, data: bytes) -> bool:
-        """Whether a payload is long enough to be decoded."""
+        """Whether a payload is long enough for Codec.decode."""
         return len(data) >= self.length or self.allow_truncated
+
+    def read_raw(self, signal: str, data: bytes) -> int:
+        """The bits of a signal as an unsigned integer; those beyond the end of a short payload are 0."""
+        mask, shift, _, big_endian = self.plan.raws[signal]
+        whole = data[: self.length].ljust(self.length, b"\0")
+        return int.from_bytes(whole, "big" if big_endian else "little") >> shift & mask

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -13,6 +14,7 @@ from tunefree_hil.bus.python_can import absent
 
 with absent("asammdf"):  # cantools imports python-can
     import cantools
+    from cantools.database.utils import start_bit
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
@@ -46,11 +48,17 @@ def _read(path: Path) -> Database:
         ) from error
 
 
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A hint: the name that was probably meant, or all known ones."""
+    known = sorted(known)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"did you mean {close[0]}?" if close else f"there are {', '.join(known) or 'none'}"
+
+
 def signal_map(signal: Signal, length: int) -> SignalMap:
     """Place and scaling of a signal's bits in a message of `length` bytes."""
     big = signal.byte_order == "big_endian"
-    first = 8 * (signal.start // 8) + 7 - signal.start % 8 if big else signal.start
-    end = first + signal.length
+    end = start_bit(signal) + signal.length
     low, high = raw_range(signal)
     return SignalMap(
         name=signal.name,
@@ -115,5 +123,5 @@ def bits_of(signal: Signal) -> Sequence[int]:
     """The payload bits of a signal; bit 8 * i + j is bit j (0 the lowest) of byte i."""
     if signal.byte_order == "little_endian":
         return range(signal.start, signal.start + signal.length)
-    first = 8 * (signal.start // 8) + 7 - signal.start % 8
+    first = start_bit(signal)
     return [8 * (place // 8) + 7 - place % 8 for place in range(first, first + signal.length)]

@@ -149,15 +149,12 @@ def command_step(p: WireParams, state: WireState, x: Command, dt_s: float) -> tu
 STEPS = {"report": report_step, "ins": ins_step, "command": command_step}
 
 
-def wire(codec: Codec, group: str, phases: Mapping[str, int], period: bool = True) -> Block:
-    """The Block of a group ('report', 'ins', 'command') on its record. phases: tick of its period, by message.
-
-    period=False: every message goes out at every tick, so that only quantising and clipping remain.
-    """
+def wire(codec: Codec, group: str, phases: Mapping[str, int]) -> Block:
+    """The Block of a group ('report', 'ins', 'command') on its record. phases: tick of its period, by message."""
     fields = fields_of(codec, group)
-    periods = [message.period_ticks if period else 1 for _, message in fields]
+    periods = [message.period_ticks for _, message in fields]
     waits = [-phases.get(message.name, 0) % ticks for (_, message), ticks in zip(fields, periods, strict=True)]
-    unproven = [message.unproven_frames if period else 0 for _, message in fields]
+    unproven = [message.unproven_frames for _, message in fields]
     size = len(GROUPS[group]._fields)
 
     def init(params: WireParams, dt_s: float) -> WireState:

@@ -22,11 +22,10 @@ from tunefree_hil.bus.formats.rows import (
     change,
     floor_ms,
     hold_numbered,
-    message_of,
-    number_of,
     refuse_cut,
     row_of,
     unreadable,
+    write_messages,
 )
 from tunefree_hil.bus.python_can import can
 
@@ -77,8 +76,7 @@ def _relative(path: Path) -> InputError:
 def write(path: Path, rows: Iterable[Row], seen: Survey) -> None:
     """Write rows that `hold` has given."""
     with _Writer(path, floor_ms(seen.earliest_s)) as writer:
-        for row in rows:
-            writer.on_message_received(message_of(row, number_of(row)))
+        write_messages(writer, rows)
 
 
 def hold(rows: Iterable[Row], seen: Survey, lost: Lost) -> Iterable[Row]:

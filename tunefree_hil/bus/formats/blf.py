@@ -9,20 +9,19 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
+from functools import partial
 from pathlib import Path
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bus.formats.rows import (
     Format,
-    Lost,
     Row,
     Survey,
     floor_ms,
     hold_numbered,
-    message_of,
-    number_of,
     row_of,
     unreadable,
+    write_messages,
 )
 from tunefree_hil.bus.python_can import can
 
@@ -51,17 +50,12 @@ def read(path: Path) -> Iterator[Row]:
 
 
 def write(path: Path, rows: Iterable[Row], seen: Survey) -> None:
-    """Write rows that `hold` has given."""
+    """Write rows that `FORMAT.hold` has given."""
     base_s = floor_ms(seen.earliest_s)
     with can.BLFWriter(path) as writer:
         writer.start_timestamp = base_s if base_s >= DATES_FROM_S else 0.0
-        for row in rows:
-            writer.on_message_received(message_of(row, number_of(row)))
+        write_messages(writer, rows)
 
 
-def hold(rows: Iterable[Row], seen: Survey, lost: Lost) -> Iterable[Row]:
-    """All frames, stamps and directions are kept; channels are numbers."""
-    return hold_numbered(rows, seen, lost, HIGHEST_CHANNEL)
-
-
-FORMAT = Format("blf", read, write, hold)
+# All frames, stamps and directions are kept; channels are numbers.
+FORMAT = Format("blf", read, write, partial(hold_numbered, highest=HIGHEST_CHANNEL))

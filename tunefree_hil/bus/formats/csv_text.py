@@ -23,7 +23,6 @@ from tunefree_hil.bus.formats.rows import (
     RTR,
     SENT,
     Format,
-    Lost,
     Row,
     Survey,
     refuse_cut,
@@ -114,9 +113,5 @@ def write(path: Path, rows: Iterable[Row], seen: Survey) -> None:
             lines.writerow((*front, *bits.values(), row.dlc, row.data.hex().upper()))
 
 
-def hold(rows: Iterable[Row], seen: Survey, lost: Lost) -> Iterable[Row]:
-    """Everything is kept."""
-    return rows
-
-
-FORMAT = Format("csv", read, write, hold)
+# everything is kept
+FORMAT = Format("csv", read, write, lambda rows, seen, lost: rows)

@@ -13,6 +13,7 @@ import struct
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -30,7 +31,6 @@ from tunefree_hil.bus.formats.rows import (
     RTR,
     SENT,
     Format,
-    Lost,
     Row,
     Survey,
     floor_ms,
@@ -38,13 +38,13 @@ from tunefree_hil.bus.formats.rows import (
     number_of,
     unreadable,
 )
+from tunefree_hil.bus.python_can import can
 
 HIGHEST_CHANNEL = 255
 KINDS = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": RTR}  # name of a group -> flag of its rows
 BLOCK = 20_000  # frames that are read or written at once
 DATES_FROM_S = 86400.0 * 365  # stamps below are no dates: the measurement then begins at 0
 HEADER_AT, COMMENT_AT, LEAST_BYTES = 64, 128, 168  # header block, its link to a comment, its end
-FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # by DLC
 logging.getLogger("asammdf").setLevel(logging.CRITICAL + 1)  # it raises what it logs
 _OPTIONS: dict[str, Any] = {"process_bus_logging": False}  # asammdf would decode it by DBCs inside the file
 _FAULTS = (  # what asammdf raises over broken files
@@ -156,7 +156,7 @@ def _payloads(member: dict[str, np.ndarray], kind: int, count: int) -> list[byte
 
 
 def write(path: Path, rows: Iterable[Row], seen: Survey) -> None:
-    """Write rows that `hold` has given."""
+    """Write rows that `FORMAT.hold` has given."""
     earliest_s = floor_ms(seen.earliest_s)
     base_s = earliest_s if earliest_s >= DATES_FROM_S else 0.0
     source = Source("", "", "", source_type=Source.SOURCE_BUS, bus_type=Source.BUS_TYPE_CAN)
@@ -197,7 +197,7 @@ def _samples(name: str, rows: Sequence[Row]) -> np.ndarray:
         "BusChannel": ("<u1", [number_of(row) for row in rows]),
         "ID": ("<u4", [row.can_id & ID_MASK for row in rows]),
         "IDE": ("<u1", [bool(row.can_id & EXTENDED_BIT) for row in rows]),
-        "DLC": ("<u1", [_dlc(row) for row in rows]),
+        "DLC": ("<u1", [row.dlc if row.flags & RTR else can.util.len2dlc(len(row.data)) for row in rows]),
         "DataLength": ("<u1", [len(row.data) for row in rows]),
         "Dir": ("<u1", [bool(row.flags & SENT) for row in rows]),
     }
@@ -215,16 +215,5 @@ def _samples(name: str, rows: Sequence[Row]) -> np.ndarray:
     return samples
 
 
-def _dlc(row: Row) -> int:
-    """The length code: of a remote frame what it asks for."""
-    if row.flags & RTR:
-        return row.dlc
-    return next(code for code, length in enumerate(FD_LENGTHS) if length >= len(row.data))
-
-
-def hold(rows: Iterable[Row], seen: Survey, lost: Lost) -> Iterable[Row]:
-    """All frames, stamps (to the ns near 0) and directions are kept; channels are numbers."""
-    return hold_numbered(rows, seen, lost, HIGHEST_CHANNEL)
-
-
-FORMAT = Format("mf4", read, write, hold)
+# All frames, stamps (to the ns near 0) and directions are kept; channels are numbers.
+FORMAT = Format("mf4", read, write, partial(hold_numbered, highest=HIGHEST_CHANNEL))

@@ -48,13 +48,12 @@ class FormatLoss(NamedTuple):
 class Survey(NamedTuple):
     """Facts about all rows that a writer needs before the first: a log is read once for them, never kept as a whole.
 
-    channels: name -> frames, in the order of their first. backwards: stamps before the one in front of them. sent: a
-    row has that flag. micro: no stamp is finer than a microsecond.
+    channels: name -> frames, in the order of their first. earliest_s: inf for no row. backwards: stamps before the one
+    in front of them. sent: a row has that flag. micro: no stamp is finer than a microsecond.
     """
 
     channels: dict[str, int]
     earliest_s: float
-    latest_s: float
     backwards: int
     sent: bool
     micro: bool
@@ -84,9 +83,9 @@ class Format(NamedTuple):
 
 
 def survey(rows: Iterable[Row]) -> Survey:
-    """Go through all rows once. The stamps of no row at all are inf and -inf."""
+    """Go through all rows once."""
     channels: Counter[str] = Counter()
-    earliest_s, latest_s, before_s = math.inf, -math.inf, -math.inf
+    earliest_s, before_s = math.inf, -math.inf
     backwards, flags, micro = 0, 0, True
     for row in rows:
         time_s = row[0]
@@ -94,9 +93,9 @@ def survey(rows: Iterable[Row]) -> Survey:
         flags |= row[4]
         backwards += time_s < before_s
         before_s = time_s
-        earliest_s, latest_s = min(earliest_s, time_s), max(latest_s, time_s)
+        earliest_s = min(earliest_s, time_s)
         micro = micro and is_micro(time_s)
-    return Survey(dict(channels), earliest_s, latest_s, backwards, bool(flags & SENT), micro)
+    return Survey(dict(channels), earliest_s, backwards, bool(flags & SENT), micro)
 
 
 def is_micro(time_s: float) -> bool:
@@ -168,8 +167,14 @@ def floor_ms(time_s: float) -> float:
     return math.floor(time_s * 1000.0) / 1000.0
 
 
-def message_of(row: Row, channel: int) -> can.Message:
-    """A Row as python-can's Message."""
+def write_messages(writer: can.Listener, rows: Iterable[Row]) -> None:
+    """Write rows, whose channels hold_numbered has named, by a writer of python-can."""
+    for row in rows:
+        writer.on_message_received(message_of(row))
+
+
+def message_of(row: Row) -> can.Message:
+    """A Row, whose channel hold_numbered has named, as python-can's Message."""
     remote = bool(row.flags & RTR)
     return can.Message(
         timestamp=row.time_s,
@@ -177,7 +182,7 @@ def message_of(row: Row, channel: int) -> can.Message:
         is_extended_id=bool(row.can_id & EXTENDED_BIT),
         is_remote_frame=remote,
         is_error_frame=bool(row.flags & ERROR),
-        channel=channel,
+        channel=number_of(row),
         dlc=row.dlc if remote else len(row.data),
         data=None if remote else row.data,
         is_fd=bool(row.flags & FD),

@@ -60,14 +60,13 @@ class MissingFrames(NamedTuple):
 class Ledger:
     """One episode. `write(frame)` gets the vehicle's frames, stamped, in the order in which they arrived.
 
-    `foreign` (id -> count), `errors` and `remote` count other frames; they are written too.
+    `foreign` (id -> count) and `remote` count other frames; they, and error frames, are written too.
     """
 
     def __init__(
         self, ids_of_phase: tuple[Collection[int], Collection[int]], tick_ns: int, write: Callable[[Raw], None]
     ) -> None:
         self.foreign: dict[int, int] = {}
-        self.errors = 0
         self.remote = 0
         self.tick = 0  # of the latest TICK or DONE
         self.ended = False  # the ECU has announced the end
@@ -125,9 +124,8 @@ class Ledger:
             self._put(self._waiting.popleft())
 
     def _count(self, raw: Raw) -> int:
-        """Phase of a frame, -1 (and counted) for one with another id."""
+        """Phase of a frame, -1 for others; those with another id and remote ones are counted."""
         if raw.can_id & ERR_FLAG:
-            self.errors += 1
             return -1
         key = raw.can_id & (EFF_FLAG | EFF_MASK)
         if raw.can_id & RTR_FLAG:
@@ -145,7 +143,7 @@ class Ledger:
             claimed = [unclaimed.popleft() for _ in range(done.n_tx)]
             for entry in claimed:
                 entry.k = done.k
-            frames = [_plain(entry.raw) for entry in claimed]
+            frames = [entry.raw.data_frame() for entry in claimed]
             frames.sort(key=can_key)
             if digest(frames) != done.digest:
                 raise self._foreign_sender(done, frames)
@@ -171,7 +169,3 @@ class Ledger:
         if entry.k >= 0:
             self._last_ns = entry.k * self._tick_ns
         self._write(entry.raw._replace(time_ns=self._last_ns))
-
-
-def _plain(raw: Raw) -> CanFrame:
-    return CanFrame(raw.can_id & EFF_MASK, raw.data, bool(raw.can_id & EFF_FLAG), raw.fd)

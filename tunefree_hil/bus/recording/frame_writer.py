@@ -8,7 +8,6 @@ from typing import Any
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.dbc.e2e import protect
-from tunefree_hil.bus.dbc.integrity import next_counter
 from tunefree_hil.bus.dbc.message_map import MessageMap
 
 
@@ -27,14 +26,14 @@ class FrameWriter:
         self, message: MessageMap, records: Mapping[str, Any], signals: Mapping[str, float], stamp_s: float
     ) -> CanFrame:
         """The next frame of a message. records, signals: as Codec.encode takes them, without counter and CRC."""
-        if not message.counter:
-            return self._frame(message, self.codec.encode(message, records, signals), stamp_s)
         counter = self._next.get(message.name, 0)
-        self._next[message.name] = next_counter(counter, message.counter_modulus)
-        if message.e2e is None:
-            signals = {**signals, message.counter: float(counter)}
-            return self._frame(message, self.codec.encode(message, records, signals), stamp_s)
-        data = protect(message.e2e, self.codec.encode(message, records, signals), counter)
+        if message.counter:
+            self._next[message.name] = (counter + 1) % message.counter_modulus
+            if message.e2e is None:
+                signals = {**signals, message.counter: float(counter)}
+        data = self.codec.encode(message, records, signals)
+        if message.e2e is not None:
+            data = protect(message.e2e, data, counter)
         return self._frame(message, data, stamp_s)
 
     def write_short(

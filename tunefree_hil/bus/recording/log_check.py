@@ -9,9 +9,9 @@ from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.dbc.e2e import is_intact
 from tunefree_hil.bus.dbc.integrity import Order, check_counter
 from tunefree_hil.bus.dbc.message_map import COMMAND, MessageMap
+from tunefree_hil.bus.formats.rows import ERROR, RTR
 
 Frame = tuple[float, str, int, bytes, int]  # time_s, channel, can_id with EFF bit, data, flags: candump.LogFrame
-REMOTE, ERROR = 8, 16
 LATE = 1.5  # periods
 LONG = 5.0  # periods; or the message's own time-out where that is longer
 
@@ -97,7 +97,7 @@ class _MessageCheck:
             self.first_s = time_s
         self.frames += 1
         self.last_s = time_s
-        if not codec.fits(self.message, data):
+        if not self.message.fits(data):
             self.short += 1
         elif self.message.e2e is not None and not is_intact(self.message.e2e, data[: self.message.length]):
             self.broken += 1  # neither its values nor its counter are usable
@@ -185,7 +185,7 @@ def check_frames(frames: Iterable[Frame], codec: Codec, by_channel: bool = False
         count += 1
         backwards += time_s < last_s
         last_s, earliest_s, latest_s = time_s, min(earliest_s, time_s), max(latest_s, time_s)
-        if flags & (ERROR | REMOTE):
+        if flags & (ERROR | RTR):
             errors += bool(flags & ERROR)
             remote += not flags & ERROR
             continue

@@ -11,20 +11,20 @@ the log goes on.
 from __future__ import annotations
 
 import select
-from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import BenchError, TunefreeError
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.error_frames import note_error
-from tunefree_hil.bus.link import BusLink
-from tunefree_hil.bus.open import open_link
-from tunefree_hil.bus.recording.frame_attribution import Ledger
+from tunefree_hil.bus.link import HubLink
+from tunefree_hil.bus.open import LinkRequest, open_link
+from tunefree_hil.bus.recording.frame_attribution import Ledger, can_key
 from tunefree_hil.bus.socketcan.kernel_link import kernel_drops
 from tunefree_hil.bus.socketcan.link import SocketCanLink, overflow, realtime_offset_ns
-from tunefree_hil.bus.tfhub.records import EFF_FLAG, EFF_MASK, ERR_FLAG, Raw, pack_raw
-from tunefree_hil.bus.tfhub.server.log import CandumpLog
+from tunefree_hil.bus.tfhub.records import EFF_MASK, ERR_FLAG, Raw, pack_raw
+from tunefree_hil.bus.tfhub.server.log import CandumpLog, close_logs, open_logs
 
 SETTLE_S = 1.0  # how long the end of a log waits for frames that were announced; SocketCAN delivers at once
 LOOK_S = 0.01
@@ -46,13 +46,13 @@ class RecorderSetup(NamedTuple):
 class Recorder:
     """Both links and, while an episode is driven, its logs."""
 
-    def __init__(self, setup: RecorderSetup, vehicle: SocketCanLink, bench: BusLink, bench_fd: int) -> None:
+    def __init__(self, setup: RecorderSetup, vehicle: SocketCanLink, bench: SocketCanLink | HubLink) -> None:
         self.setup = setup
         self.vehicle = vehicle
         self.bench = bench
         self.frames = {"vehicle": 0, "bench": 0}  # received since it was started
         self.trouble: TunefreeError | None = None
-        self.fds = (vehicle.fileno(), bench_fd)
+        self.fds = (vehicle.fileno(), bench.fileno())
         self._logs: dict[str, CandumpLog] = {}
         self._ledger: Ledger | None = None
         self._drops = 0
@@ -91,17 +91,9 @@ class Recorder:
         self.trouble = None  # of frames before the episode
         self._forgive()
         names = {"vehicle": self.vehicle.interface, "bench": self._bench_name}
-        logs: dict[str, CandumpLog] = {}
-        try:
-            for channel, path in paths.items():
-                logs[channel] = CandumpLog(path, names[channel], 0)
-        except BenchError:
-            for log in logs.values():
-                log.discard()
-            raise
-        self._logs = logs
+        self._logs = open_logs(paths, names, 0)
         reports, commands = self.setup.ids
-        self._ledger = Ledger((reports, commands), self.setup.tick_ns, self._write_vehicle)
+        self._ledger = Ledger((reports, commands), self.setup.tick_ns, partial(self._write, "vehicle"))
 
     def stop(self) -> dict[str, Any]:
         """Finish the logs: counts of frames, foreign ids and errors. Trouble at the end is noted too.
@@ -114,7 +106,11 @@ class Recorder:
         self._ledger = None
         ledger.finish()
         logs, self._logs = self._logs, {}
-        self._end(list(logs.values()))
+        if self.trouble is not None and self.trouble.code in NOT_WHOLE:
+            for log in logs.values():
+                log.abandon()
+        else:
+            close_logs(logs.values())
         return {
             "frames": {channel: log.frames for channel, log in logs.items()},
             "foreign": {f"{key:X}": count for key, count in ledger.foreign.items()},
@@ -128,20 +124,6 @@ class Recorder:
             log.abandon()
         self.vehicle.close()
         self.bench.close()
-
-    def _end(self, logs: Sequence[CandumpLog]) -> None:
-        """Write the rest of the logs. The first BenchError of a disk, when all are done."""
-        failures: list[BenchError] = []
-        for log in logs:
-            if self.trouble is not None and self.trouble.code in NOT_WHOLE:
-                log.abandon()
-                continue
-            try:
-                log.close()
-            except BenchError as error:
-                failures.append(error)
-        if failures:
-            raise failures[0]
 
     def _settle(self, ledger: Ledger) -> Ledger:
         """Wait for announced frames that have not arrived; note the missing ones."""
@@ -209,30 +191,24 @@ class Recorder:
         except BenchError as error:
             self._note(error)
         tick_ns = self.setup.tick_ns
-        self._write_bench(frame, ledger.tick * tick_ns if tick_ns else round(frame.time_s * 1e9) + offset_ns)
+        time_ns = ledger.tick * tick_ns if tick_ns else round(frame.time_s * 1e9) + offset_ns
+        self._write("bench", Raw(can_key(frame), frame.data, time_ns, frame.fd))
 
-    def _write_vehicle(self, raw: Raw) -> None:
-        record = pack_raw(raw.can_id, raw.data, raw.time_ns, fd=raw.fd, flags=raw.flags, length=raw.length)
-        log = self._logs.get("vehicle")
+    def _write(self, channel: str, raw: Raw) -> None:
+        log = self._logs.get(channel)
         if log is not None:
-            log.add(record, 1)
-
-    def _write_bench(self, frame: CanFrame, time_ns: int) -> None:
-        log = self._logs.get("bench")
-        if log is not None:
-            can_id = frame.id | EFF_FLAG if frame.extended else frame.id
-            log.add(pack_raw(can_id, frame.data, time_ns, fd=frame.fd), 1)
+            log.add(pack_raw(raw), 1)
 
 
 def open_recorder(setup: RecorderSetup) -> Recorder:
     """Open both links to listen; on a hub as a member, for which the hub waits. BenchError, InputError as open_link."""
-    vehicle = open_link(setup.vehicle, "vehicle", name="the recorder", role="observer", fd=setup.fd)
+    vehicle = open_link(setup.vehicle, "vehicle", LinkRequest("the recorder", role="observer", fd=setup.fd))
     assert isinstance(vehicle, SocketCanLink)
     try:
         role = "observer" if setup.bench.startswith("socketcan:") else "member"
-        bench = open_link(setup.bench, "bench", name="recorder", role=role)
+        bench = open_link(setup.bench, "bench", LinkRequest("recorder", role=role))
     except BaseException:
         vehicle.close()
         raise
-    fd = bench.fileno() if isinstance(bench, SocketCanLink) else bench._bus.fileno()  # type: ignore[attr-defined]
-    return Recorder(setup, vehicle, bench, fd)
+    assert isinstance(bench, SocketCanLink | HubLink)
+    return Recorder(setup, vehicle, bench)

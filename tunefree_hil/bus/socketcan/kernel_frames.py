@@ -32,7 +32,7 @@ def unpack(data: bytes, time_ns: int) -> Raw:
     can_id, length, flags = HEAD.unpack_from(data)
     fd = len(data) == FD_FRAME.size
     n_bytes = 0 if can_id & RTR_FLAG else length
-    return Raw(0, 0, time_ns, can_id, length, flags & (BRS | ESI) if fd else 0, fd, data[8 : 8 + n_bytes])
+    return Raw(can_id, data[8 : 8 + n_bytes], time_ns, fd, flags & (BRS | ESI) if fd else 0, length)
 
 
 def pack_filters(ids: Sequence[int]) -> bytes:

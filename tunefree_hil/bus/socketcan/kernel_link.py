@@ -22,7 +22,7 @@ ATTRIBUTE = struct.Struct("=HH")  # rtattr: length, type
 
 NUMBER = struct.Struct("=I")
 CREDENTIALS = struct.Struct("=iII")  # SO_PEERCRED: pid, uid, gid
-CLASSIC_MTU, FD_MTU = 16, 72  # sizes of struct can_frame and canfd_frame
+FD_MTU = 72  # size of struct canfd_frame; that of can_frame is 16
 
 # mtu 72: the link carries CAN FD too
 ADD_VCAN = "sudo modprobe vcan && sudo ip link add dev {name} type vcan && sudo ip link set dev {name} mtu 72 up"

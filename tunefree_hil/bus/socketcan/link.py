@@ -29,7 +29,7 @@ from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.error_frames import note_error
 from tunefree_hil.bus.python_can import can
 from tunefree_hil.bus.socketcan.kernel_frames import FD_FRAME, pack, pack_filters, unpack
-from tunefree_hil.bus.tfhub.records import EFF_FLAG, EFF_MASK, ERR_FLAG, NO_DATA, Raw
+from tunefree_hil.bus.tfhub.records import EFF_MASK, ERR_FLAG, NO_DATA, Raw
 
 STAMP = struct.Struct("@qq")  # struct timespec
 COUNT = struct.Struct("=I")
@@ -71,7 +71,6 @@ class SocketCanLink:
         self.name = name
         self.interface = interface
         self.errors: Counter[str] = Counter()
-        self.remote_frames = 0
         self.lost = 0  # frames that did not fit this socket's queue, since it was opened
         self.refused: Sequence[CanFrame] = ()
         self._sock = sock
@@ -192,19 +191,14 @@ class SocketCanLink:
             self.lost += news
 
     def _data_frames(self, raws: Sequence[Raw]) -> list[CanFrame]:
-        """Data frames with CLOCK_MONOTONIC stamps; the others are counted. BenchError bus_off."""
+        """Data frames with CLOCK_MONOTONIC stamps; error frames are counted. BenchError bus_off."""
         frames = []
         offset_ns = realtime_offset_ns() if raws else 0
         for raw in raws:
-            can_id = raw.can_id
-            if not can_id & NO_DATA:
-                extended = bool(can_id & EFF_FLAG)
-                time_s = (raw.time_ns - offset_ns) / 1e9
-                frames.append(CanFrame(can_id & EFF_MASK, raw.data, extended, raw.fd, time_s))
-            elif can_id & ERR_FLAG:
-                note_error(self.errors, can_id & EFF_MASK, raw.data, self.interface)
-            else:
-                self.remote_frames += 1
+            if not raw.can_id & NO_DATA:
+                frames.append(raw._replace(time_ns=raw.time_ns - offset_ns).data_frame())
+            elif raw.can_id & ERR_FLAG:
+                note_error(self.errors, raw.can_id & EFF_MASK, raw.data, self.interface)
         return frames
 
     def _require_starter(self) -> None:

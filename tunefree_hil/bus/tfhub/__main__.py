@@ -9,7 +9,8 @@ from tunefree_hil.base.errors import TunefreeError
 from tunefree_hil.bus.tfhub.address import DEFAULT_TRANSPORT, HubInfo
 from tunefree_hil.bus.tfhub.records import LOG_NAMES
 from tunefree_hil.bus.tfhub.server.connections import OBSERVER_BYTES
-from tunefree_hil.bus.tfhub.server.serve import say_on_stderr, serve
+from tunefree_hil.bus.tfhub.server.hub import HubOptions
+from tunefree_hil.bus.tfhub.server.serve import announce, say_on_stderr, serve
 
 
 def main() -> int:
@@ -31,16 +32,15 @@ def main() -> int:
     parser.add_argument("--observer-kib", type=int, default=OBSERVER_BYTES >> 10, help="what an observer may be owed")
     parser.add_argument("--say-ready", action="store_true", help="write a line to stdout when it listens")
     given = parser.parse_args()
+    options = HubOptions(
+        transport="tcp" if given.tcp else DEFAULT_TRANSPORT,
+        clock=given.clock,
+        standalone=given.standalone,
+        log_names={"vehicle": given.vehicle_log_name, "bench": given.bench_log_name},
+        observer_bytes=given.observer_kib << 10,
+    )
     try:
-        why = serve(
-            given.session,
-            transport="tcp" if given.tcp else DEFAULT_TRANSPORT,
-            clock=given.clock,
-            standalone=given.standalone,
-            log_names={"vehicle": given.vehicle_log_name, "bench": given.bench_log_name},
-            observer_bytes=given.observer_kib << 10,
-            ready=_say_ready if given.say_ready else _announce,
-        )
+        why = serve(given.session, options, ready=_say_ready if given.say_ready else announce)
     except TunefreeError as error:
         say_on_stderr(str(error))
         return error.exit_status
@@ -50,13 +50,8 @@ def main() -> int:
 
 
 def _say_ready(_: HubInfo) -> None:
-    sys.stdout.write("ready\n")  # start.py waits for it
+    sys.stdout.write("ready\n")  # whatever started this hub waits for it
     sys.stdout.flush()
-
-
-def _announce(info: HubInfo) -> None:
-    where = ", ".join(f"{channel} {address}" for channel, address in info.addresses.items())
-    say_on_stderr(f"{info.session} runs, pid {info.pid}: {where}")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping
 from os import PathLike, fspath
 from pathlib import Path
@@ -18,7 +17,7 @@ STATS_S = 5.0  # these need no disk: a hub that does not answer is stopped
 
 
 class PeerStats(NamedTuple):
-    """One peer of a hub. `dropped`: frames that an observer did not get; `owed_bytes`: its queue."""
+    """One peer of a hub. `dropped`: frames that an observer did not get."""
 
     name: str
     channel: str
@@ -26,23 +25,15 @@ class PeerStats(NamedTuple):
     pid: int
     sent: int
     dropped: int
-    owed_bytes: int
 
 
 class HubStats(NamedTuple):
     """`frames`: channel -> frames routed. `lost`: the latest losses. `held_by`: members for which the bus waits."""
 
-    session: str
-    clock: str
     frames: dict[str, int]
-    peers: tuple[PeerStats, ...]
-    lost: tuple[str, ...]
-    held_by: tuple[str, ...]
-    log_failures: tuple[str, ...]
-
-    def dropped(self) -> dict[str, int]:
-        """Observer -> frames that it missed."""
-        return {peer.name: peer.dropped for peer in self.peers if peer.role == "observer"}
+    peers: tuple[PeerStats, ...] = ()
+    lost: tuple[str, ...] = ()
+    held_by: tuple[str, ...] = ()
 
 
 class ForeignSender(NamedTuple):
@@ -57,12 +48,13 @@ class ForeignSender(NamedTuple):
 class Owner:
     """Open it soon after the hub was started: a hub (unless standalone) ends without one.
 
-    `session`: as given to the hub. `wait_s`: how long to wait for a hub that is just starting. Every method raises
-    BenchError when the hub is gone, and names it.
+    `session`: as given to the hub. Every method raises BenchError when the hub is gone, and names it.
     """
 
-    def __init__(self, session: str = "default", *, name: str = "", wait_s: float = 0.0) -> None:
-        self._connection = _connect(session, name, wait_s)
+    def __init__(self, session: str, *, name: str = "") -> None:
+        info = address.read_hub(session)
+        where = address.parse(info.addresses["bench"], info.token_file)
+        self._connection = Connection(where, {"role": "owner"}, name)
         self.pid = self._connection.welcome.pid  # of the hub
 
     def start_log(self, paths: Mapping[str, str | PathLike[str]]) -> None:
@@ -78,8 +70,7 @@ class Owner:
         """The hub's numbers."""
         answer = self._ask({"op": "stats"})
         peers = tuple(PeerStats(**peer) for peer in answer["peers"])
-        lists = {key: tuple(answer[key]) for key in ("lost", "held_by", "log_failures")}
-        return HubStats(answer["session"], answer["clock"], answer["frames"], peers, **lists)
+        return HubStats(answer["frames"], peers, tuple(answer["lost"]), tuple(answer["held_by"]))
 
     def guard(self, ids: Iterable[int]) -> None:
         """From now on count frames with these ids (EFF bit included) on the vehicle channel that no node has sent."""
@@ -117,17 +108,3 @@ class Owner:
         if "error" in body:
             raise BenchError(**body["error"])
         return body["ok"]
-
-
-def _connect(session: str, name: str, wait_s: float) -> Connection:
-    """Connect; retry for wait_s while no hub answers there."""
-    deadline_s = time.monotonic() + wait_s
-    while True:
-        try:
-            info = address.read_hub(session)
-            where = address.parse(info.addresses["bench"], info.token_file)
-            return Connection(where, {"role": "owner"}, name)
-        except BenchError as error:
-            if error.code != "no_hub" or time.monotonic() >= deadline_s:
-                raise
-        time.sleep(0.005)

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import NoReturn
 
 from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.error_frames import require_bus_on
 from tunefree_hil.bus.tfhub.plugin import HubBus
 from tunefree_hil.bus.tfhub.records import (
-    CLASSIC,
-    EFF_FLAG,
     EFF_MASK,
     ERR_FLAG,
     FRAME,
-    NO_DATA,
     RTR_FLAG,
     SECOND_FRAME,
-    Raw,
+    ChannelFrames,
     mark_second_channel,
     pack_frames,
+    plain_frames,
     unpack_raw,
 )
 from tunefree_hil.bus.tfhub.server.connection import ConnectionGone
@@ -33,12 +31,9 @@ class HubPair:
     def __init__(self, vehicle_address: str, *, name: str = "", stamps: bool = False) -> None:
         self._bus = HubBus(vehicle_address, role="member", name=name, stamps=stamps, both=True)
         self._connection = self._bus._connection
-        self._frames: tuple[list[CanFrame], list[CanFrame]] = ([], [])
+        self._frames = ChannelFrames([], [])
         self.name = self._bus.name
         self.welcome = self._bus.welcome
-        self.error_frames: list[Raw] = []
-        self.remote_frames = [0, 0]
-        self.closed = False
 
     def send(self, vehicle: Sequence[CanFrame], bench: Sequence[CanFrame]) -> None:
         """Vehicle frames, then bench frames, in one write."""
@@ -68,9 +63,7 @@ class HubPair:
 
     def close(self) -> None:
         """Leave the bus in good order."""
-        if not self.closed:
-            self.closed = True
-            self._bus.shutdown()
+        self._bus.shutdown()
 
     def _take(self, channel: int) -> list[CanFrame]:
         frames = list(self._frames[channel])
@@ -79,18 +72,11 @@ class HubPair:
 
     def _sort(self, data: bytes) -> bool:
         """Sort whole records of classic data frames by channel; False, and nothing done, for other bytes."""
-        if len(data) % CLASSIC.size:
+        frames = plain_frames(data)
+        if frames is None:
             return False
-        by_channel: tuple[list[CanFrame], list[CanFrame]] = ([], [])
-        make = tuple.__new__
-        for size, kind, _, _, time_ns, can_id, length, payload in CLASSIC.iter_unpack(data):
-            if size != CLASSIC.size or (kind != FRAME and kind != SECOND_FRAME) or can_id & NO_DATA:
-                return False
-            part = payload if length == 8 else payload[:length]
-            frame = make(CanFrame, (can_id & EFF_MASK, part, can_id > EFF_MASK, False, time_ns / 1e9))
-            by_channel[kind == SECOND_FRAME].append(frame)
-        self._frames[0].extend(by_channel[0])
-        self._frames[1].extend(by_channel[1])
+        self._frames.own.extend(frames.own)
+        self._frames.second.extend(frames.second)
         return True
 
     def _one_by_one(self, timeout_s: float) -> None:
@@ -103,24 +89,10 @@ class HubPair:
                 if kind not in (FRAME, SECOND_FRAME):
                     self._bus._control(record)
                     continue
-                self._sort_raw(unpack_raw(record), int(kind == SECOND_FRAME))
+                raw = unpack_raw(record)
+                if raw.can_id & ERR_FLAG:
+                    require_bus_on(raw.can_id & EFF_MASK, self._bus.channel_info)
+                elif not raw.can_id & RTR_FLAG:
+                    self._frames[kind == SECOND_FRAME].append(raw.data_frame())
         except ConnectionGone as error:
-            self._raise_gone(error)
-
-    def _sort_raw(self, raw: Raw, channel: int) -> None:
-        if raw.can_id & ERR_FLAG:
-            self.error_frames.append(raw)
-        elif raw.can_id & RTR_FLAG:
-            self.remote_frames[channel] += 1
-        else:
-            extended = bool(raw.can_id & EFF_FLAG)
-            frame = CanFrame(raw.can_id & EFF_MASK, raw.data, extended, raw.fd, raw.time_ns / 1e9)
-            self._frames[channel].append(frame)
-
-    def _raise_gone(self, error: ConnectionGone) -> NoReturn:
-        raise self._bus._gone(error) from None
-
-    @property
-    def info(self) -> str:
-        """The bus as text."""
-        return self._bus.channel_info
+            raise self._bus._gone(error) from None

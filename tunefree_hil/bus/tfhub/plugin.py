@@ -13,8 +13,9 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from tunefree_hil.base.errors import BenchError, InputError, PeerGone
+from tunefree_hil.base.errors import BenchError, InputError, NoAnswer, PeerGone
 from tunefree_hil.base.records import CanFrame
+from tunefree_hil.bus.error_frames import require_bus_on
 from tunefree_hil.bus.python_can import can
 from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.records import (
@@ -52,6 +53,10 @@ class MemberGone(PeerGone, can.CanOperationError):
 
 class MayNotSend(InputError, can.CanOperationError):
     """Only members transmit."""
+
+
+class BusHeld(NoAnswer, can.CanTimeoutError):
+    """The bus took no more frames: a member does not read."""
 
 
 class HubBus(can.BusABC):
@@ -98,8 +103,6 @@ class HubBus(can.BusABC):
         self.welcome = self._connection.welcome
         self.name = self.welcome.name
         self.dropped = 0  # frames that this observer missed, by the hub's count
-        self.remote_frames = 0  # seen by recv_frames, which hands over data frames only
-        self.error_frames: list[Raw] = []  # the latest of these, too
         self._offset_ns = self.welcome.epoch_offset_ns
         self._can_protocol = can.CanProtocol.CAN_FD
         self.channel_info = f"tfhub {self.welcome.session}/{self.welcome.channel} as {self.role} {self.name}"
@@ -108,13 +111,13 @@ class HubBus(can.BusABC):
     # --- interface of python-can ---------------------------------------------------------------------------------
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Transmit; waits while another member holds the bus. can.CanTimeoutError after `timeout` seconds."""
+        """Transmit; waits while another member holds the bus. BusHeld after `timeout` seconds."""
         can_id = msg.arbitration_id | (EFF_FLAG if msg.is_extended_id else 0)
         can_id |= (RTR_FLAG if msg.is_remote_frame else 0) | (ERR_FLAG if msg.is_error_frame else 0)
         flags = (BRS if msg.bitrate_switch else 0) | (ESI if msg.error_state_indicator else 0)
         data = bytes(msg.data or b"")
         time_ns = max(0, round(msg.timestamp * 1e9))
-        self._transmit(pack_raw(can_id, data, time_ns, fd=msg.is_fd, flags=flags, length=msg.dlc), timeout)
+        self._transmit(pack_raw(Raw(can_id, data, time_ns, msg.is_fd, flags, msg.dlc)), timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         try:
@@ -170,22 +173,22 @@ class HubBus(can.BusABC):
 
     # --- the fast path -------------------------------------------------------------------------------------------
 
-    def send_frames(self, frames: Sequence[CanFrame], timeout_s: float | None = None, brs: bool = True) -> None:
+    def send_frames(self, frames: Sequence[CanFrame], timeout_s: float | None = None) -> None:
         """Transmit data frames in this order with one write. Their time_s counts where this member stamps."""
         if frames:
-            self._transmit(pack_frames(frames, brs), timeout_s)
+            self._transmit(pack_frames(frames), timeout_s)
 
     def recv_frames(self, timeout_s: float | None) -> list[CanFrame]:
         """All data frames that have arrived; waits up to timeout_s for the first. [] on time-out.
 
-        Remote frames are counted, error frames kept in `error_frames`; neither is handed over as data.
+        Error and remote frames are not handed over. BenchError for bus-off.
         """
         connection = self._connection
         if timeout_s is not None and self._filters is None:
             data = connection.fresh(timeout_s)
             frames = plain_frames(data)
             if frames is not None:
-                return frames
+                return frames.own
             if data:
                 connection.put_back(data)
             elif not connection.buffer and not connection.gone and not connection.careful:
@@ -193,7 +196,7 @@ class HubBus(can.BusABC):
         deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
             frames = self._some_frames(timeout_s)
-            if frames is None or frames or self.error_frames:
+            if frames is None or frames:
                 return frames or []
             if deadline_s is not None:
                 timeout_s = max(0.0, deadline_s - time.monotonic())
@@ -217,20 +220,19 @@ class HubBus(can.BusABC):
         """Move whole FRAME records from the buffer to `frames`, up to the first record of another type."""
         connection = self._connection
         buffer, offset, end = connection.buffer, connection.position, len(connection.buffer)
+        errors = 0  # the classes of all error frames
         while end - offset >= HEAD.size and buffer[offset + 2] == FRAME:
             size = buffer[offset] | buffer[offset + 1] << 8
             if end - offset < size:
                 break
             raw = unpack_raw(buffer, offset)
             if raw.can_id & ERR_FLAG:
-                self.error_frames = [*self.error_frames[-99:], raw]
-            elif raw.can_id & RTR_FLAG:
-                self.remote_frames += 1
-            else:
-                extended = bool(raw.can_id & EFF_FLAG)
-                frames.append(CanFrame(raw.can_id & EFF_MASK, raw.data, extended, raw.fd, raw.time_ns / 1e9))
+                errors |= raw.can_id & EFF_MASK
+            elif not raw.can_id & RTR_FLAG:
+                frames.append(raw.data_frame())
             offset += size
         connection.skip(offset - connection.position)
+        require_bus_on(errors, self.channel_info)
 
     def _wanted(self, frame: CanFrame) -> bool:
         return self._matches_filters(can.Message(arbitration_id=frame.id, is_extended_id=frame.extended))
@@ -250,8 +252,9 @@ class HubBus(can.BusABC):
         except ConnectionGone as error:
             raise self._gone(error) from None
         if not taken:
-            raise can.CanTimeoutError(
-                f"{self._connection} took no more frames for {timeout_s} s: a member does not read (its stats name it)"
+            raise BusHeld(
+                f"{self._connection} took no more frames for {timeout_s} s: a member does not read (its stats name it)",
+                code="bus_held",
             )
 
     def _control(self, record: bytes) -> None:

@@ -45,6 +45,7 @@ DATA_AT = 28
 EFF_FLAG, RTR_FLAG, ERR_FLAG = 0x80000000, 0x40000000, 0x20000000
 EFF_MASK, SFF_MASK = 0x1FFFFFFF, 0x7FF
 NO_DATA = RTR_FLAG | ERR_FLAG  # a frame with one of these is never taken for data
+NO_LENGTH = -1
 BRS, ESI = 0x01, 0x02
 NO_CLASS = 0x80  # bus error: what python-can writes for an error frame that names no class
 
@@ -54,16 +55,24 @@ class RecordError(ValueError):
 
 
 class Raw(NamedTuple):
-    """One FRAME record, taken apart. `can_id` holds the EFF, RTR and ERR bits; `length` is the DLC of an RTR frame."""
+    """One FRAME record, taken apart.
 
-    sender: int
-    sequence: int
-    time_ns: int
+    `can_id` holds the EFF, RTR and ERR bits; `length` is the DLC of an RTR frame, NO_LENGTH: that of the data.
+    """
+
     can_id: int
-    length: int
-    flags: int
-    fd: bool
     data: bytes
+    time_ns: int = 0
+    fd: bool = False
+    flags: int = 0
+    length: int = NO_LENGTH
+    sender: int = 0
+    sequence: int = 0
+
+    def data_frame(self) -> CanFrame:
+        """The same as a data frame, with its stamp in seconds."""
+        can_id = self.can_id
+        return CanFrame(can_id & EFF_MASK, self.data, bool(can_id & EFF_FLAG), self.fd, self.time_ns / 1e9)
 
 
 def small_buffers(sock: socket.socket) -> None:
@@ -94,29 +103,22 @@ def body_of(record: bytes) -> dict[str, Any]:
     return body
 
 
-def pack_raw(
-    can_id: int, data: bytes, time_ns: int = 0, *, fd: bool = False, flags: int = 0, length: int = -1
-) -> bytes:
-    """One FRAME record as a sender writes it. `can_id` with its flag bits; `length` is the DLC of an RTR frame."""
-    count = len(data) if length < 0 else length
-    check_frame(can_id, count, fd)
-    if fd:
-        return FD.pack(FD.size, FRAME, 0, 0, time_ns, can_id, count, flags, data)
-    return CLASSIC.pack(CLASSIC.size, FRAME, 0, 0, time_ns, can_id, count, data)
-
-
-def check_frame(can_id: int, length: int, fd: bool) -> None:
-    """Raise InputError for a frame that no CAN bus could carry."""
+def pack_raw(raw: Raw) -> bytes:
+    """One FRAME record as a sender writes it. InputError for a frame that no CAN bus could carry."""
+    can_id, fd = raw.can_id, raw.fd
+    count = len(raw.data) if raw.length == NO_LENGTH else raw.length
     if not can_id & (EFF_FLAG | ERR_FLAG) and can_id & EFF_MASK > SFF_MASK:
         raise InputError(f"id 0x{can_id & EFF_MASK:X} does not fit a standard frame", hint="send it as extended")
-    if length > (64 if fd else 8):
-        raise InputError(f"{length} bytes do not fit a {'CAN FD' if fd else 'classic CAN'} frame")
+    if count > (64 if fd else 8):
+        raise InputError(f"{count} bytes do not fit a {'CAN FD' if fd else 'classic CAN'} frame")
+    if fd:
+        return FD.pack(FD.size, FRAME, 0, 0, raw.time_ns, can_id, count, raw.flags, raw.data)
+    return CLASSIC.pack(CLASSIC.size, FRAME, 0, 0, raw.time_ns, can_id, count, raw.data)
 
 
-def pack_frames(frames: Iterable[CanFrame], brs: bool = True) -> bytes:
-    """FRAME records of data frames, time_s as ns. FD frames are sent with bit-rate switch when `brs`."""
+def pack_frames(frames: Iterable[CanFrame]) -> bytes:
+    """FRAME records of data frames, time_s as ns. FD frames are sent with bit-rate switch."""
     parts = []
-    flags = BRS if brs else 0
     for identifier, data, extended, fd, time_s in frames:
         if not 0 <= identifier <= EFF_MASK:
             raise InputError(f"{identifier:#x} is no CAN id", hint="ids have 11 bits, or 29 when extended")
@@ -128,7 +130,7 @@ def pack_frames(frames: Iterable[CanFrame], brs: bool = True) -> bytes:
         if not fd and length <= 8 and (extended or identifier <= SFF_MASK):
             parts.append(CLASSIC.pack(36, FRAME, 0, 0, time_ns, can_id, length, data))
         else:
-            parts.append(pack_raw(can_id, data, time_ns, fd=fd, flags=flags if fd else 0))
+            parts.append(pack_raw(Raw(can_id, data, time_ns, fd, BRS if fd else 0)))
     return b"".join(parts)
 
 
@@ -156,17 +158,25 @@ def select_ids(records: bytes, count: int, ids: frozenset[int]) -> list[bytes]:
     return selected
 
 
-def plain_frames(data: bytes) -> list[CanFrame] | None:
+class ChannelFrames(NamedTuple):
+    """Data frames of a connection: those of its own channel, and of the one that a joint connection carries beside."""
+
+    own: list[CanFrame]
+    second: list[CanFrame]
+
+
+def plain_frames(data: bytes) -> ChannelFrames | None:
     """The frames of `data` where it holds only whole records of classic data frames, else None."""
     if not data or len(data) % CLASSIC.size:
         return None
-    frames = []
+    frames = ChannelFrames([], [])
     make = tuple.__new__  # half the time of CanFrame(...)
     for size, kind, _, _, time_ns, can_id, length, payload in CLASSIC.iter_unpack(data):
-        if size != CLASSIC.size or kind != FRAME or can_id & NO_DATA:
+        if size != CLASSIC.size or (kind != FRAME and kind != SECOND_FRAME) or can_id & NO_DATA:
             return None
         part = payload if length == 8 else payload[:length]
-        frames.append(make(CanFrame, (can_id & EFF_MASK, part, can_id > EFF_MASK, False, time_ns / 1e9)))
+        frame = make(CanFrame, (can_id & EFF_MASK, part, can_id > EFF_MASK, False, time_ns / 1e9))
+        frames[kind == SECOND_FRAME].append(frame)
     return frames
 
 
@@ -176,4 +186,4 @@ def unpack_raw(buffer: bytes | bytearray | memoryview, offset: int = 0) -> Raw:
     fd = size == FD.size
     n_bytes = 0 if can_id & RTR_FLAG else length
     data = bytes(buffer[offset + DATA_AT : offset + DATA_AT + n_bytes])
-    return Raw(sender, sequence, time_ns, can_id, length, flags if fd else 0, fd, data)
+    return Raw(can_id, data, time_ns, fd, flags if fd else 0, length, sender, sequence)

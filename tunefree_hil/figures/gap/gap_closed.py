@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,21 +44,6 @@ class SignalTrace(NamedTuple):
     simulated: Mapping[str, Numbers]
 
 
-def write_errors(path: Path, bars: Sequence[SignalErrors], title: str) -> Path:
-    """Write the figure of `draw_errors` to `path` as PNG."""
-    return style.save(draw_errors(bars, title), path)
-
-
-def write_traces(path: Path, runs: Sequence[SignalTrace], title: str) -> Path:
-    """Write the figure of `draw_traces` to `path` as PNG."""
-    return style.save(draw_traces(runs, title), path)
-
-
-def write_signature(path: Path, stretch: SignalTrace, whole: SignalTrace, title: str) -> Path:
-    """Write the figure of `draw_signature` to `path` as PNG."""
-    return style.save(draw_signature(stretch, whole, title), path)
-
-
 def draw_errors(bars: Sequence[SignalErrors], title: str) -> Figure:
     """Draw a group of bars for each signal, in percent of the error of the original model."""
     variants = [name for name in LOOKS if any(name in bar.errors for bar in bars)]
@@ -73,12 +57,12 @@ def draw_errors(bars: Sequence[SignalErrors], title: str) -> Figure:
     for row, variant in enumerate(variants):
         for y, signal in enumerate(bars):
             if variant in signal.errors:
-                _draw_bar(axes, y + (row - 0.5 * (len(variants) - 1)) * width, 0.92 * width, signal, variant, y == 0)
-    axes.set_yticks(range(len(bars)), [bar.name for bar in bars])
-    axes.set_ylim(len(bars) - 0.45, -0.55)
+                position = y + (row - 0.5 * (len(variants) - 1)) * width
+                label = LABELS[variant] if y == 0 else "_"
+                _draw_bar(axes, signal, variant, y=position, height=0.92 * width, label=label)
     axes.set_xlim(0.0, 1.25 * max(100.0, *(_percent_of_original(bar, name) for bar in bars for name in bar.errors)))
     style.dress(axes, "error on holdout blocks (RMS, % of the original model)", "")
-    axes.grid(False, axis="y")
+    style.name_bars(axes, [bar.name for bar in bars])
     style.legend_below(figure, axes, 4)
     return figure
 
@@ -88,16 +72,14 @@ def _percent_of_original(signal: SignalErrors, variant: str) -> float:
     return 100.0 * signal.errors[variant] / whole if whole > 0.0 else 0.0
 
 
-def _draw_bar(axes: Axes, position: float, width: float, signal: SignalErrors, variant: str, has_label: bool) -> None:
-    """Draw a bar with its value and unit behind it."""
-    look, length = LOOKS[variant], _percent_of_original(signal, variant)
+def _draw_bar(axes: Axes, signal: SignalErrors, variant: str, **bar: Any) -> None:
+    """Draw a bar with its value and unit behind it; bar: its y, height and label."""
+    length = _percent_of_original(signal, variant)
     hatch = "//" if variant == "floor" else ""
-    label = LABELS[variant] if has_label else "_"
-    axes.barh(position, length, height=width, color=look.colour, edgecolor="white", hatch=hatch, label=label)
+    axes.barh(width=length, color=LOOKS[variant].colour, edgecolor="white", hatch=hatch, **bar)
     unit = "" if signal.unit == "1" else f" {signal.unit}"
-    axes.text(
-        length, position, f" {style.number(signal.errors[variant])}{unit}", va="center", fontsize=style.FONT_PT - 4
-    )
+    text = f" {style.number(signal.errors[variant])}{unit}"
+    axes.text(length, bar["y"], text, va="center", fontsize=style.FONT_PT - 4)
 
 
 def draw_traces(runs: Sequence[SignalTrace], title: str) -> Figure:
@@ -113,7 +95,7 @@ def draw_traces(runs: Sequence[SignalTrace], title: str) -> Figure:
         for variant, values in run.simulated.items():
             style.line(axes, run.time_s, values, LOOKS[variant]._replace(width=1.8), LABELS[variant])
         last = run is runs[-1]
-        style.dress(axes, "time since the block began (s)" if last else "", _axis_label(run))
+        style.dress(axes, "time since the block began (s)" if last else "", style.with_unit(run.name, run.unit))
     style.legend_below(figure, panels[0], 4)
     return figure
 
@@ -131,12 +113,8 @@ def draw_signature(stretch: SignalTrace, whole: SignalTrace, title: str) -> Figu
         errors = (values - whole.measured)[thin]
         dots = {"linestyle": "", "marker": ".", "markersize": 3, "alpha": 0.5}
         right.plot(whole.measured[thin], errors, color=LOOKS[variant].colour, **dots)
-    unit = "" if stretch.unit == "1" else f" ({stretch.unit})"
-    style.dress(left, "time since the block began (s)", f"simulated - measured{unit}", stretch.name)
-    style.dress(right, f"measured{unit}", "", "all holdout blocks")
+    difference = style.with_unit("simulated - measured", stretch.unit)
+    style.dress(left, "time since the block began (s)", difference, stretch.name)
+    style.dress(right, style.with_unit("measured", stretch.unit), "", "all holdout blocks")
     style.legend_below(figure, left, 3)
     return figure
-
-
-def _axis_label(run: SignalTrace) -> str:
-    return run.name if run.unit == "1" else f"{run.name} ({run.unit})"

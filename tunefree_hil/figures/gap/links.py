@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from tunefree_hil.figures import style
 
@@ -37,16 +38,6 @@ class CandidateEvidence(NamedTuple):
     is_accepted: bool
 
 
-def write_regions(path: Path, regions: Sequence[RegionMisfit], unit: str, title: str) -> Path:
-    """Write the figure of `draw_regions` to `path` as PNG."""
-    return style.save(draw_regions(regions, unit, title), path)
-
-
-def write_evidence(path: Path, candidates: Sequence[CandidateEvidence], min_nats: float, title: str) -> Path:
-    """Write the figure of `draw_evidence` to `path` as PNG."""
-    return style.save(draw_evidence(candidates, min_nats, title), path)
-
-
 def draw_regions(regions: Sequence[RegionMisfit], unit: str, title: str) -> Figure:
     """Draw how much larger (or smaller) the misfit is in each region than in the rest of the drive."""
     figure = style.new_figure(12.0, 1.9 + ROW_IN * max(len(regions), 2))
@@ -57,22 +48,17 @@ def draw_regions(regions: Sequence[RegionMisfit], unit: str, title: str) -> Figu
         return figure
     for y, region in enumerate(regions):
         look = style.MANUAL if region.stands_out else style.OTHERS[3]
-        low, high, ratio = (
-            min(max(value, RATIO_RANGE[0]), RATIO_RANGE[1]) for value in (region.low, region.high, region.ratio)
-        )
+        low, high, ratio = np.clip([region.low, region.high, region.ratio], *RATIO_RANGE).tolist()
         axes.barh(y, ratio - 1.0, left=1.0, height=0.7, color=look.colour, label="_")
         axes.plot([low, high], [y, y], color=style.INK, linewidth=1.6)
-        axes.text(
-            1.02 * RATIO_RANGE[1], y, f"{style.number(region.rms)} {unit}", va="center", fontsize=style.FONT_PT - 2
-        )
+        text = f"{style.number(region.rms)} {unit}"
+        axes.text(1.02 * RATIO_RANGE[1], y, text, va="center", fontsize=style.FONT_PT - 2)
     axes.axvline(1.0, color=style.INK, linewidth=1.2)
     axes.set_xscale("log")
     axes.set_xlim(*RATIO_RANGE)
     style.plain_numbers(axes.xaxis)
-    axes.set_yticks(range(len(regions)), [one.label for one in regions])
-    axes.set_ylim(len(regions) - 0.4, -0.6)
     style.dress(axes, "mean square over that of the rest, 95 % interval (right: RMS)", "")
-    axes.grid(False, axis="y")
+    style.name_bars(axes, [region.label for region in regions], 0.4)
     _draw_legend(figure, axes, (("stands out", style.MANUAL.colour), ("does not", style.OTHERS[3].colour)))
     return figure
 
@@ -92,10 +78,8 @@ def draw_evidence(candidates: Sequence[CandidateEvidence], min_nats: float, titl
         axes.plot(candidate.held_out, y, marker="D", color=style.INK, markersize=7, linestyle="", label="_")
     axes.axvline(min_nats, color=style.MANUAL.colour, linestyle="--", linewidth=2.0)
     axes.set_xscale("symlog", linthresh=10.0)
-    axes.set_yticks(range(len(shown)), [step.name for step in shown])
-    axes.set_ylim(len(shown) - 0.4, -0.6)
     style.dress(axes, "nats over recalibration alone (straight to 10, then logarithmic)", "")
-    axes.grid(False, axis="y")
+    style.name_bars(axes, [candidate.name for candidate in shown], 0.4)
     axes.plot([], [], marker="D", color=style.INK, linestyle="", label="gain on held-out blocks")
     axes.plot([], [], color=style.MANUAL.colour, linestyle="--", linewidth=2.0, label=f"needed: {min_nats:g}")
     _draw_legend(figure, axes, (("passes every criterion", style.TUNED.colour), ("does not", style.OTHERS[3].colour)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -58,16 +57,6 @@ class ErrorGrowth(NamedTuple):
     before: Mapping[str, Numbers]
     after: Mapping[str, Numbers]
     windows: int
-
-
-def write_channels(path: Path, channels: Sequence[ChannelFit], title: str) -> Path:
-    """Write the figure of `draw_channels` to `path` as PNG."""
-    return style.save(draw_channels(channels, title), path)
-
-
-def write_growth(path: Path, growth: ErrorGrowth, title: str) -> Path:
-    """Write the figure of `draw_growth` to `path` as PNG."""
-    return style.save(draw_growth(growth, title), path)
 
 
 def draw_channels(channels: Sequence[ChannelFit], title: str) -> Figure:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -28,11 +27,6 @@ class CoveragePanel(NamedTuple):
     need_s: NDArray[np.float64]
     rows: Sequence[str]
     columns: Sequence[str]
-
-
-def write_coverage(path: Path, panels: Sequence[CoveragePanel], quota_s: float, title: str) -> Path:
-    """Write the figure of `draw_coverage` to `path` as PNG."""
-    return style.save(draw_coverage(panels, quota_s, title), path)
 
 
 def draw_coverage(panels: Sequence[CoveragePanel], quota_s: float, title: str) -> Figure:

@@ -5,7 +5,6 @@ Brake commands are negative in the data; areas without data are hatched.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ Array = NDArray[np.float64]
 
 ACCEL_COLOURS = "RdYlBu"  # red slows down, blue speeds up
 SPEED_COLOURS = "viridis"
+PEDALS = ((-1.0, "brake"), (1.0, "throttle"))  # sign of the command in the data, and name
 CURVES = 6  # number of speeds drawn as curves
 HATCH = "////"
 UNBACKED = "dots: a gap between data; lines: beyond the data"
@@ -43,31 +43,13 @@ class MapPicture(NamedTuple):
     rest_frac: float
 
 
-class PedalCurve(NamedTuple):
-    """Acceleration and support over the duty of one pedal at one speed, each of shape (n_commands,)."""
-
-    duty: Array
-    accel_mps2: Array
-    support: Array
-
-
-def write_map_data(path: Path, picture: MapPicture) -> Path:
-    """Write the figure of `draw_map_data` to `path` as PNG."""
-    return style.save(draw_map_data(picture), path)
-
-
-def write_map(path: Path, picture: MapPicture) -> Path:
-    """Write the figure of `draw_map` to `path` as PNG."""
-    return style.save(draw_map(picture), path)
-
-
 def draw_map_data(picture: MapPicture) -> Figure:
     """Draw Fig. 4a: each sample at its speed and command, coloured by acceleration; brake left, throttle right."""
     figure = style.new_figure(14.0, 7.0)
     panels = figure.subplots(1, 2, sharey=True)
     limit = _colour_limit(picture)
     dots: Any = None
-    for axes, sign, name in _pedal_panels(panels):
+    for axes, (sign, name) in zip(panels, PEDALS, strict=True):
         of_pedal = _is_pedal_sample(picture.command_frac, sign, picture.rest_frac)
         dots = axes.scatter(
             np.abs(picture.command_frac[of_pedal]), picture.speed_mps[of_pedal], c=picture.accel_mps2[of_pedal], s=7.0,
@@ -93,7 +75,7 @@ def draw_map(picture: MapPicture) -> Figure:
     limit = _colour_limit(picture)
     colours = _curve_colours(picture)
     image: Any = None
-    for column, sign, name in ((0, -1.0, "brake"), (1, 1.0, "throttle")):
+    for column, (sign, name) in enumerate(PEDALS):
         for row, colour in colours.items():
             _draw_curve(curves[0, column], picture, row, sign, colour)
         style.dress(curves[0, column], f"{name} command (duty)", "" if column else "acceleration (m/s²)")
@@ -108,18 +90,6 @@ def draw_map(picture: MapPicture) -> Figure:
     share = float(np.mean(picture.support == 1.0))
     style.headline(figure, f"The learned map; {100.0 * share:.0f} % of it backed by data, the rest dashed and hatched")
     return figure
-
-
-class PedalPanel(NamedTuple):
-    """The axes of one pedal; sign: -1 for the brake, 1 for the throttle."""
-
-    axes: Axes
-    sign: float
-    name: str
-
-
-def _pedal_panels(panels: Any) -> list[PedalPanel]:
-    return [PedalPanel(panels[0], -1.0, "brake"), PedalPanel(panels[1], 1.0, "throttle")]
 
 
 def _is_pedal_sample(command: Array, sign: float, rest_frac: float) -> NDArray[np.bool_]:
@@ -143,19 +113,17 @@ def _curve_colours(picture: MapPicture) -> dict[int, Any]:
     return {int(row): tuple(colour) for row, colour in zip(rows, colours, strict=True)}
 
 
-def _pedal_curve(picture: MapPicture, row: int, sign: float) -> PedalCurve:
-    """The curve of one pedal at one speed, from rest on."""
+def _pedal_columns(picture: MapPicture, sign: float) -> tuple[Array, NDArray[np.int64]]:
+    """Duties of one pedal in the grid from rest on, and their columns."""
     command = picture.grid_command_frac
-    of_pedal = command * sign >= 0.0
+    of_pedal = np.flatnonzero(command * sign >= 0.0)
     duty = np.where(command[of_pedal] == 0.0, picture.rest_frac, np.abs(command[of_pedal]))
-    order = np.argsort(duty)
-    accel_mps2 = picture.grid_accel_mps2[row][of_pedal][order]
-    return PedalCurve(duty[order], accel_mps2, picture.support[row][of_pedal][order])
+    return np.sort(duty), of_pedal[np.argsort(duty)]
 
 
 def _draw_curve(axes: Axes, picture: MapPicture, row: int, sign: float, colour: Any) -> None:
-    duty, accel, support = _pedal_curve(picture, row, sign)
-    backed = support == 1.0
+    duty, columns = _pedal_columns(picture, sign)
+    accel, backed = picture.grid_accel_mps2[row, columns], picture.support[row, columns] == 1.0
     is_backed_segment = backed[1:] & backed[:-1]  # between two nodes with data
     for i in np.flatnonzero(~is_backed_segment):
         axes.plot(duty[i : i + 2], accel[i : i + 2], color=colour, linestyle=(0, (2, 2)), linewidth=1.4)
@@ -177,12 +145,8 @@ def _is_near_row(picture: MapPicture, row: int) -> NDArray[np.bool_]:
 
 def _draw_plane(axes: Axes, picture: MapPicture, sign: float, limit: float) -> Any:
     """Draw the map over speed and command, hatched where there are no data."""
-    command = picture.grid_command_frac
-    of_pedal = np.flatnonzero(command * sign >= 0.0)
-    duty = np.where(command[of_pedal] == 0.0, picture.rest_frac, np.abs(command[of_pedal]))
-    order = of_pedal[np.argsort(duty)]
-    duty = np.sort(duty)
-    accel, support = picture.grid_accel_mps2[:, order], picture.support[:, order]
+    duty, columns = _pedal_columns(picture, sign)
+    accel, support = picture.grid_accel_mps2[:, columns], picture.support[:, columns]
     image = axes.pcolormesh(
         duty, picture.grid_speed_mps, accel, cmap=ACCEL_COLOURS, vmin=-limit, vmax=limit, shading="gouraud"
     )

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tunefree_hil.figures import style
 
@@ -16,22 +14,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def write_history(path: Path, scores: Sequence[float], lines: Mapping[str, float], **more: Sequence[float]) -> Path:
-    """Write the figure of `draw_history` to `path` as PNG."""
-    return style.save(draw_history(scores, lines, **more), path)
-
-
-def draw_history(scores: Sequence[float], lines: Mapping[str, float], random: Sequence[float] = ()) -> Figure:
+def draw_history(scores: Sequence[float], lines: Mapping[str, float]) -> Figure:
     """Draw scores by slot on a log scale; lower is better.
 
     Args:
         scores: Scores in slot order.
         lines: Scores of the baselines by name, "manual" first.
-        random: Scores of a random search with the same budget, drawn as its best so far.
     """
     figure = style.new_figure(11.0, 6.5)
     axes = figure.add_subplot()
-    _draw_scores(axes, scores, random)
+    _draw_scores(axes, scores)
     _draw_lines(axes, lines)
     _log_score(axes, [*scores, *lines.values()])
     style.dress(axes, "trial", "score (lower is better)")
@@ -41,25 +33,17 @@ def draw_history(scores: Sequence[float], lines: Mapping[str, float], random: Se
     return figure
 
 
-def _draw_scores(axes: Axes, scores: Sequence[float], random: Sequence[float]) -> None:
-    """The trials, the best so far of both searches, and the best trial."""
+def _draw_scores(axes: Axes, scores: Sequence[float]) -> None:
+    """The trials, the best so far, and the best trial."""
     trials = np.arange(1, len(scores) + 1)
     dots: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white"}
     axes.plot(trials, scores, marker="o", markersize=6.0, color="#86b6d9", label="trial", **dots)
-    if random:
-        random_best = _best_so_far(random)
-        dotted: dict[str, Any] = {"color": style.INK, "linestyle": ":", "linewidth": 2.2}
-        numbers = np.arange(1, len(random_best) + 1)
-        axes.step(numbers, random_best, where="post", label="random search, best so far", **dotted)
-    axes.step(trials, _best_so_far(scores), where="post", color=style.TUNED.colour, linewidth=2.8, label="best so far")
+    so_far = np.minimum.accumulate(np.asarray(scores, dtype=np.float64))
+    axes.step(trials, so_far, where="post", color=style.TUNED.colour, linewidth=2.8, label="best so far")
     best = int(np.argmin(scores))
     label = f"best: {style.number(scores[best])} in trial {best + 1}"
     star: dict[str, Any] = {"marker": "*", "markersize": 20, "color": style.TUNED.colour, "zorder": 6}
     axes.plot(trials[best], scores[best], label=label, **star, **dots)
-
-
-def _best_so_far(scores: Sequence[float]) -> NDArray[np.float64]:
-    return np.minimum.accumulate(np.asarray(scores, dtype=np.float64))
 
 
 def _sentence(scores: Sequence[float], lines: Mapping[str, float]) -> str:
@@ -74,13 +58,8 @@ def _sentence(scores: Sequence[float], lines: Mapping[str, float]) -> str:
 
 def _draw_lines(axes: Axes, lines: Mapping[str, float]) -> None:
     for name, look in style.looks(list(lines)).items():
-        axes.axhline(
-            lines[name],
-            color=look.colour,
-            linestyle=look.dash,
-            linewidth=look.width,
-            label=f"{name}: {style.number(lines[name])}",
-        )
+        label = f"{name}: {style.number(lines[name])}"
+        axes.axhline(lines[name], color=look.colour, linestyle=look.dash, linewidth=look.width, label=label)
 
 
 def _log_score(axes: Axes, values: Sequence[float]) -> None:

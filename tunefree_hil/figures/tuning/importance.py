@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tunefree_hil.figures import style
@@ -11,11 +10,6 @@ from tunefree_hil.tune.insight import Importance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-def write_importance(path: Path, importances: Mapping[str, Importance]) -> Path:
-    """Write the figure of `draw_importance` to `path` as PNG."""
-    return style.save(draw_importance(importances), path)
 
 
 def draw_importance(importances: Mapping[str, Importance]) -> Figure:
@@ -33,13 +27,11 @@ def draw_importance(importances: Mapping[str, Importance]) -> Figure:
         sign = "no trend" if abs(importance.rank) < 0.1 else trend
         bar_text = f" {style.number(length)}  (rank correlation {importance.rank:+.2f}: {sign})"
         axes.text(length, row, bar_text, va="center", fontsize=style.FONT_PT - 2.0, color=style.INK)
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(len(names) - 0.45, -0.55)
     longest = max((entry.share or 0.0) if by_share else abs(entry.rank) for entry in importances.values())
     axes.set_xlim(0.0, 1.9 * (longest or 1.0))
     label = "share of importance (PED-ANOVA)" if by_share else "|rank correlation| (too few trials for shares)"
     style.dress(axes, label, "")
+    style.name_bars(axes, names)
     axes.tick_params(axis="y", labelsize=style.FONT_PT)
-    axes.grid(False, axis="y")
     style.headline(figure, f"Importance of the parameters, from {n} trials")
     return figure

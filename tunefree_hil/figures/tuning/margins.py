@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,11 +19,6 @@ BAR = 0.62
 BEYOND = " ▸"  # on a bar that ends at the limit of the search
 
 Rows = Mapping[str, Mapping[str, Any]]  # vector -> its margins, as verify.json has them
-
-
-def write_margins(path: Path, margins: Mapping[str, Any], tuned: str) -> Path:
-    """Write the figure of `draw_margins` to `path` as PNG."""
-    return style.save(draw_margins(margins, tuned), path)
 
 
 def draw_margins(margins: Mapping[str, Any], tuned: str) -> Figure:
@@ -55,11 +49,10 @@ def _draw_delays(axes: Axes, vectors: Rows, names: Sequence[str], tuned: str) ->
         axes.barh(row, value_ms, height=BAR, **_look(name, tuned))
         where = BEYOND if margin["at_least"] else f"  {margin['scenario']}: {margin['what']}"
         axes.text(value_ms, row, f" {value_ms:.0f} ms{where}", va="center", fontsize=style.FONT_PT - 2.0)
-    _rows(axes, names)
     longest = max(1e3 * vectors[name]["delay"]["value"] for name in names)
     axes.set_xlim(0.0, 1.8 * max(longest, 10.0))  # room for the words
     style.dress(axes, "extra steer dead time until the first re-plan, ms", "", "Delay margin")
-    axes.grid(False, axis="y")
+    style.name_bars(axes, names)
 
 
 def _draw_gains(axes: Axes, vectors: Rows, names: Sequence[str], tuned: str) -> None:
@@ -72,10 +65,9 @@ def _draw_gains(axes: Axes, vectors: Rows, names: Sequence[str], tuned: str) -> 
         after = BEYOND if high["at_least"] else ""
         axes.text(high["value"], row, f" {high['value']:.2f}{after}", va="center", fontsize=size)
     axes.axvline(1.0, color=style.INK, linewidth=1.4)
-    _rows(axes, names)
     axes.set_xlim(0.0, 1.15 * max(vectors[name]["gain_up"]["value"] for name in names))
     style.dress(axes, "factor on the steering at which the first re-plan comes", "", "Steer gain margin")
-    axes.grid(False, axis="y")
+    style.name_bars(axes, names)
 
 
 def _draw_strip(axes: Axes, vectors: Rows, names: Sequence[str]) -> None:
@@ -112,11 +104,6 @@ def _short(point: Mapping[str, Any]) -> str:
 def _look(name: str, tuned: str) -> dict[str, Any]:
     look = style.TUNED if name == tuned else style.MANUAL
     return {"color": look.colour, "hatch": "" if name == tuned else "//", "edgecolor": "white"}
-
-
-def _rows(axes: Axes, names: Sequence[str]) -> None:
-    axes.set_yticks(range(len(names)), list(names))
-    axes.set_ylim(len(names) - 0.45, -0.55)  # the first on top
 
 
 def _sentence(margins: Mapping[str, Any], tuned: str) -> str:

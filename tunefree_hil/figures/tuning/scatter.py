@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -18,6 +17,13 @@ if TYPE_CHECKING:
 
 MAX_PAIRED = 3  # parameters that are shown in pairs
 BINS = 5
+MARK: dict[str, Any] = {
+    "markeredgecolor": "white",
+    "markeredgewidth": 1.5,
+    "linestyle": "",
+    "zorder": 6,
+    "clip_on": False,
+}
 
 
 class ParameterBox(NamedTuple):
@@ -39,11 +45,6 @@ class TrialPoints(NamedTuple):
     scores: Sequence[float]
     boxes: Mapping[str, ParameterBox]
     manual: Mapping[str, float]
-
-
-def write_scatter(path: Path, points: TrialPoints) -> Path:
-    """Write the figure of `draw_scatter` to `path` as PNG."""
-    return style.save(draw_scatter(points), path)
 
 
 def draw_scatter(points: TrialPoints) -> Figure:
@@ -121,8 +122,10 @@ def _draw_plane(axes: Axes, points: TrialPoints, x: str, y: str) -> None:
     )
     best = int(np.argmin(scores))
     if x != y and {x, y} <= points.manual.keys():
-        _mark(axes, _inside(points, x), _inside(points, y), style.MANUAL, "D", 12.0, "manual")
-    _mark(axes, across[best], up[best], style.TUNED, "*", 22.0, "best")
+        manual = {"marker": "D", "markersize": 12.0, "color": style.MANUAL.colour, "label": "manual"}
+        axes.plot([_inside(points, x)], [_inside(points, y)], **manual, **MARK)
+    star = {"marker": "*", "markersize": 22.0, "color": style.TUNED.colour, "label": "best"}
+    axes.plot([across[best]], [up[best]], **star, **MARK)
     _set_box(axes, points.boxes[x], "x")
     if x != y:
         _set_box(axes, points.boxes[y], "y")
@@ -130,19 +133,11 @@ def _draw_plane(axes: Axes, points: TrialPoints, x: str, y: str) -> None:
 
 
 def _label(name: str, points: TrialPoints) -> str:
-    unit = points.boxes[name].unit
-    return f"{name} ({unit})" if unit not in ("", "1") else name
+    return style.with_unit(name, points.boxes[name].unit)
 
 
 def _inside(points: TrialPoints, name: str) -> float:
     return min(max(points.manual[name], points.boxes[name].low), points.boxes[name].high)
-
-
-def _mark(axes: Axes, x: float, y: float, look: style.Look, marker: str, size: float, label: str) -> None:
-    axes.plot(
-        [x], [y], marker=marker, markersize=size, color=look.colour, markeredgecolor="white", markeredgewidth=1.5,
-        linestyle="", label=label, zorder=6, clip_on=False,
-    )  # fmt: skip
 
 
 def _set_box(axes: Axes, box: ParameterBox, which: str) -> None:

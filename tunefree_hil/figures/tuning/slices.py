@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from tunefree_hil.figures import style
@@ -29,11 +28,6 @@ class ParameterSlice(NamedTuple):
     flag: str = ""
 
 
-def write_slices(path: Path, slices: Mapping[str, ParameterSlice], best: float, manual: float, title: str) -> Path:
-    """Write the figure of `draw_slices` to `path` as PNG."""
-    return style.save(draw_slices(slices, best, manual, title), path)
-
-
 def draw_slices(slices: Mapping[str, ParameterSlice], best: float, manual: float, title: str) -> Figure:
     """Draw one panel a parameter, each with its own scale; best, manual: score of the winner and best manual score."""
     columns = min(COLUMNS, len(slices))
@@ -43,23 +37,18 @@ def draw_slices(slices: Mapping[str, ParameterSlice], best: float, manual: float
     for i, (name, parameter_slice) in enumerate(slices.items()):
         axes = figure.add_subplot(rows, columns, i + 1)
         _draw_slice(axes, parameter_slice, best, manual, top)
-        unit = f" ({parameter_slice.unit})" if parameter_slice.unit and parameter_slice.unit != "1" else ""
-        style.dress(axes, f"{name}{unit}", "score" if i % columns == 0 else "", parameter_slice.flag)
+        label = style.with_unit(name, parameter_slice.unit)
+        style.dress(axes, label, "score" if i % columns == 0 else "", parameter_slice.flag)
         if i == 0:
             style.legend_below(figure, axes, 2 if columns < COLUMNS else 4)
     style.headline(figure, title)
     return figure
 
 
-def _decades(axes: Axes) -> None:
-    """Set tick labels at 1, 10, 100 only, where more would overlap."""
-    from matplotlib.ticker import LogLocator
-
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0,)))
-
-
 def _draw_slice(axes: Axes, parameter_slice: ParameterSlice, best: float, manual: float, top: float) -> None:
     """Draw the slice, the winner and the manual score; points above the top are triangles at the top."""
+    from matplotlib.ticker import LogLocator
+
     pairs = zip(parameter_slice.values, parameter_slice.scores, strict=True)
     known = sorted((value, score) for value, score in pairs if score is not None)
     line = sorted([*known, (parameter_slice.winner, best)])
@@ -80,4 +69,4 @@ def _draw_slice(axes: Axes, parameter_slice: ParameterSlice, best: float, manual
     if parameter_slice.log:
         style.plain_numbers(axes.xaxis, narrow=max(parameter_slice.values) < 10.0 * min(parameter_slice.values))
         if max(parameter_slice.values) > MAX_DENSE_RATIO * min(parameter_slice.values):
-            _decades(axes)
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0,)))  # 1, 10, 100 only: more labels would overlap

@@ -15,11 +15,12 @@ from tunefree_hil.gap.estimation.least_squares import FreeParameter
 from tunefree_hil.gap.estimation.nuisance import DRIFT_SIGMAS, Nuisance
 from tunefree_hil.gap.measured.chain import MeasuredDrive
 from tunefree_hil.gap.model.graph import EffectGraph
+from tunefree_hil.gap.selection.reasons import Criterion, Reason, RejectionStage
 from tunefree_hil.learn.drives.drive import CHASSIS_FIRST_YAW_RATES
 
 SEARCH_MARGIN = 0.35  # of the prior's width that a search may go beyond its ends
 LATERAL_ACCEL = "report.lateral_accel_mps2"
-NO_GYRO = "no gyro: the yaw rate of the chassis is computed from its wheel speeds"
+GYRO = "gyro"
 # Parameters that are a share of a constant of the model: they are known only as well as it is
 SCALING_CONSTANT = {"rolling_resistance.extra_frac": "rolling_frac", "head_wind.wind_mps": "drag_area_m2"}
 
@@ -34,15 +35,21 @@ class Candidate(NamedTuple):
 
 def build_candidates(
     graph: EffectGraph, model: ModelSpec, vehicle: VehicleSpec, drives: Sequence[MeasuredDrive] = ()
-) -> tuple[list[Candidate], dict[str, str]]:
+) -> tuple[list[Candidate], dict[str, Reason]]:
     """Build the candidates for a model and its drives.
 
     Returns: the candidates; and the reason for each effect that the plant or these drives cannot have
     """
-    candidates, untestable = [], dict(graph.unsupported)
+    candidates, stage = list[Candidate](), RejectionStage.UNTESTABLE
+    untestable = {
+        name: Reason(Criterion.UNSUPPORTED, name, stage=stage, note=message)
+        for name, message in graph.unsupported.items()
+    }
     if _has_no_gyro(drives):
         untestable |= {
-            name: NO_GYRO for name, effect in graph.supported.items() if links_of(effect)[0] is Link.YAW_VS_INS
+            name: Reason(Criterion.NO_SENSOR, name, key=GYRO, stage=stage)
+            for name, effect in graph.supported.items()
+            if links_of(effect)[0] is Link.YAW_VS_INS
         }
     sizes = vehicle_sizes(model, vehicle, graph)
     for name, effect in graph.supported.items():
@@ -51,7 +58,7 @@ def build_candidates(
         try:
             priors = {key: prior_of(effect, key, sizes) for key in effect.neutral}
         except InputError as error:
-            untestable[name] = error.message
+            untestable[name] = Reason(Criterion.UNSUPPORTED, name, stage=stage, note=error.message)
             continue
         free = tuple(
             free_parameter_from_prior(f"{name}.{key}", prior, effect.neutral[key]) for key, prior in priors.items()

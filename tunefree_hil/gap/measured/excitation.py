@@ -18,6 +18,7 @@ from tunefree_hil.gap.measured.chain import MeasuredDrive
 from tunefree_hil.gap.measured.observability import OUTPUT_FIELDS
 from tunefree_hil.gap.measured.targets import TARGET_CRITERIA
 from tunefree_hil.gap.model.graph import CHANNELS
+from tunefree_hil.gap.selection.reasons import Criterion, Reason
 from tunefree_hil.learn.drives.runs import find_runs
 
 Array = np.ndarray
@@ -47,7 +48,21 @@ class DrivingCriteria(NamedTuple):
 
 EXCITATION_CRITERIA, DRIVING_CRITERIA = ExcitationCriteria(), DrivingCriteria()
 CURVE, LEFT, RIGHT = "curve_s", "left_s", "right_s"  # one drive may have the left curves, another the right ones
+STANDING, GEAR = "standing", "gear"  # keys of the time in which the car does not drive; others are silent signals
 SUMMED = {name for name in QUANTITIES if name.endswith(("_s", "_moves", "_reversals")) or name == "brakings"}
+
+
+class Shortage(NamedTuple):
+    """What drives lack of a quantity that an effect needs (base/contracts.py QUANTITIES), in its unit."""
+
+    quantity: str
+    available: float
+    least: float
+
+    @property
+    def text(self) -> str:
+        """As the answer lists it."""
+        return f"{self.available:.3g} {QUANTITIES[self.quantity]}, {self.least:g} are needed"
 
 
 class Excitation(NamedTuple):
@@ -56,12 +71,12 @@ class Excitation(NamedTuple):
     Args:
         score: the least share of what the effect needs (1: just enough).
         is_sufficient: whether all that it needs is there.
-        shortages: what is missing, as texts.
+        shortages: what is missing.
     """
 
     score: float
     is_sufficient: bool
-    shortages: tuple[str, ...]
+    shortages: tuple[Shortage, ...]
 
 
 def assess_excitation(effects: Mapping[str, Effect], available: Mapping[str, float]) -> dict[str, Excitation]:
@@ -74,7 +89,7 @@ def assess_excitation(effects: Mapping[str, Effect], available: Mapping[str, flo
         shares = {need.quantity: available[need.quantity] / need.least for need in effect.needs if need.least > 0.0}
         least = {need.quantity: need.least for need in effect.needs}
         shortages = tuple(
-            f"{available[quantity]:.3g} {QUANTITIES[quantity]}, {least[quantity]:g} are needed"
+            Shortage(quantity, available[quantity], least[quantity])
             for quantity, share in shares.items()
             if share < 1.0
         )
@@ -158,50 +173,69 @@ def _count_brakings(is_braking: Array, speed: Array) -> float:
     return float(sum(speed[begin] - speed[end - 1] >= EXCITATION_CRITERIA.min_braking_mps for begin, end in runs))
 
 
+class TooLittleDriving(InputError):
+    """The logs cannot be diagnosed. `reasons` has the numbers of the message."""
+
+    def __init__(self, message: str, reasons: tuple[Reason, ...], *, code: str, hint: str) -> None:
+        super().__init__(message, code=code, key="LOG", hint=hint)
+        self.reasons = reasons
+
+
 def require_enough_driving(drives: Sequence[MeasuredDrive]) -> None:
     """Refuse logs that cannot be diagnosed.
 
     Raises:
-        InputError: the logs are too short, or the car hardly drives: its few moving rows would be all that is fitted.
+        TooLittleDriving: the logs are too short, or the car hardly drives: its few moving rows would be all that is
+            fitted.
     """
     ticks, dt_s = [drive.ticks for drive in drives], drives[0].dt_s
     blocks, block_s = cut_blocks(ticks, dt_s), block_length_s(ticks, dt_s)
     if blocks.count < BLOCK_CRITERIA.min_blocks:
-        raise InputError(
+        raise TooLittleDriving(
             f"the logs hold {blocks.count} blocks of {block_s:.3g} s; {BLOCK_CRITERIA.min_blocks} are needed for fit, "
             "selection and holdout",
+            (Reason(Criterion.TOO_FEW_BLOCKS, value=blocks.count, limit=BLOCK_CRITERIA.min_blocks),),
             code="too_short",
-            key="LOG",
             hint=f"record {DRIVING_CRITERIA.min_log_s:.0f} s or more; twice that shows more",
         )
     driven = sum(_count_driven_blocks(drive, blocks, i) for i, drive in enumerate(drives))
     if driven < BLOCK_CRITERIA.min_driven_blocks:
-        raise InputError(
+        idle = _find_idle_times(drives)
+        raise TooLittleDriving(
             f"the car moves above walking pace in {driven} blocks of {block_s:.3g} s, as far as the logs show; "
-            f"{BLOCK_CRITERIA.min_driven_blocks} are needed{_describe_idle_time(drives)}",
+            f"{BLOCK_CRITERIA.min_driven_blocks} are needed{_describe_idle_times(idle)}",
+            (Reason(Criterion.TOO_FEW_DRIVEN_BLOCKS, value=driven, limit=BLOCK_CRITERIA.min_driven_blocks), *idle),
             code="standing",
-            key="LOG",
             hint=f"drive for {DRIVING_CRITERIA.min_log_s:.0f} s or more, in gear, with by-wire enabled; leave out a "
             "report with long gaps: a log without it is read as well",
         )
 
 
-def _describe_idle_time(drives: Sequence[MeasuredDrive]) -> str:
-    """What takes most of the time away from driving, the longest first; '' if nothing does."""
+def _find_idle_times(drives: Sequence[MeasuredDrive]) -> tuple[Reason, ...]:
+    """What takes most of the time away from driving, the longest first."""
     seconds: dict[str, float] = {}
     for drive in drives:
         source = "ins.speed_mps" if drive.inputs.uses_ins_speed else "report.speed_mps"
         names = [source, *(f"report.{OUTPUT_FIELDS[channel]}" for channel in CHANNELS)]
-        causes = {f"{name} is silent": ~drive.signals[name].is_valid for name in names if name in drive.signals}
-        causes["the car stands"] = drive.inputs.speed_mps <= TARGET_CRITERIA.min_speed_mps * drive.size_scale
-        causes["it is in no forward gear"] = drive.inputs.gear < GEAR_DRIVE
-        for text, rows in causes.items():
-            seconds[text] = seconds.get(text, 0.0) + float(rows.sum()) * drive.dt_s
+        causes = {name: ~drive.signals[name].is_valid for name in names if name in drive.signals}
+        causes[STANDING] = drive.inputs.speed_mps <= TARGET_CRITERIA.min_speed_mps * drive.size_scale
+        causes[GEAR] = drive.inputs.gear < GEAR_DRIVE
+        for key, rows in causes.items():
+            seconds[key] = seconds.get(key, 0.0) + float(rows.sum()) * drive.dt_s
     total_s = sum(drive.ticks * drive.dt_s for drive in drives)
     min_s = DRIVING_CRITERIA.min_named_share * total_s
-    longest = sorted((cause_s, text) for text, cause_s in seconds.items() if cause_s > min_s)[::-1]
-    causes_text = ", ".join(f"{text} for {cause_s:.0f} s" for cause_s, text in longest)
-    return f" (of {total_s:.0f} s {causes_text})" if causes_text else ""
+    longest = sorted((cause_s, _idle_text(key), key) for key, cause_s in seconds.items() if cause_s > min_s)[::-1]
+    return tuple(Reason(Criterion.IDLE_TIME, value=cause_s, limit=total_s, key=key) for cause_s, _, key in longest)
+
+
+def _idle_text(key: str) -> str:
+    return {STANDING: "the car stands", GEAR: "it is in no forward gear"}.get(key, f"{key} is silent")
+
+
+def _describe_idle_times(idle: Sequence[Reason]) -> str:
+    """'' if there are none."""
+    causes = ", ".join(f"{_idle_text(reason.key)} for {reason.value:.0f} s" for reason in idle)
+    return f" (of {idle[0].limit:.0f} s {causes})" if causes else ""
 
 
 def _count_driven_blocks(drive: MeasuredDrive, blocks: Blocks, index: int) -> int:

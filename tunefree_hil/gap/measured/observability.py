@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from tunefree_hil.base.contracts import Effect, Link, Port, links_of
 from tunefree_hil.gap.model.effect_chain import PORTS_A, PORTS_B, PORTS_OUT
 from tunefree_hil.gap.model.graph import CHANNELS
+from tunefree_hil.gap.selection.reasons import Criterion, Reason, RejectionStage
 from tunefree_hil.learn.actuators.samples import ECHOES
 
 if TYPE_CHECKING:
@@ -113,10 +114,15 @@ def find_unobservable_ports(drives: Sequence[MeasuredDrive]) -> dict[Port, str]:
 
 def find_untestable_effects(
     effects: Mapping[str, Effect], unobservable_links: Mapping[Link, str], unobservable_ports: Mapping[Port, str]
-) -> dict[str, str]:
-    """Effects whose own link or whose port cannot be seen, with the reason."""
-    reasons = {
-        name: unobservable_links.get(links_of(effect)[0]) or unobservable_ports.get(effect.port)
-        for name, effect in effects.items()
-    }
-    return {name: reason for name, reason in reasons.items() if reason}
+) -> dict[str, Reason]:
+    """Why effects cannot be seen whose own link or whose port is not in the logs."""
+    reasons = {}
+    for name, effect in effects.items():
+        link, port = links_of(effect)[0], effect.port
+        place = link if link in unobservable_links else port
+        note = unobservable_links.get(link) or unobservable_ports.get(port)
+        if note:
+            reasons[name] = Reason(
+                Criterion.UNOBSERVABLE, name, key=place.value, stage=RejectionStage.UNTESTABLE, note=note
+            )
+    return reasons

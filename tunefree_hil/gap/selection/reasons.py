@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import Enum
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -25,9 +26,37 @@ class VerdictKind(Enum):
 NAMED = (VerdictKind.ONE, VerdictKind.SEVERAL)
 
 
+class RejectionStage(Enum):
+    """Where a search rejects a candidate. The value is the `stage` of gap.json's `reasons`."""
+
+    UNTESTABLE = "untestable"  # before the search: the model, the vehicle or these logs cannot show it
+    SCREENING = "screening"  # its grid points, before it is fitted
+    SCAN = "scan"  # alone, over the recalibrated model
+    FORWARD = "forward"  # added to the effects in `beside`
+    BACKWARD = "backward"  # selected before, and scored again with the effects in `beside`
+    SETTLING = "settling"  # in the place of a selected effect, with the others of them in `beside`
+    SELECTION = "selection"  # after the search: rejected together with another effect, or less likely than one
+
+
 class Criterion(Enum):
     """What a candidate, a set, or a whole search failed. The value is the `criterion` of gap.json's `reasons`."""
 
+    # Before the search (measured/, estimation/candidates.py, workers/pool.py)
+    UNSUPPORTED = "unsupported"  # the model's plant or the vehicle cannot have it
+    NO_SENSOR = "no_sensor"  # it is an effect on a sensor that the vehicle does not have
+    IMPOSSIBLE = "impossible"  # no value of it gives a possible car
+    UNMOVING = "unmoving"  # largest RMS change that a value of it makes to a signal, share of that signal
+    UNOBSERVABLE = "unobservable"  # its link, or the channel that it acts on, is not in the logs
+    NOT_EXCITED = "not_excited"  # what the logs hold of a quantity that it needs, in the quantity's unit
+    SCREENED = "screened"  # squared residuals that its best grid point removes, in units of the noise
+    TOO_FEW_BLOCKS = "too_few_blocks"  # blocks that the logs give, a count
+    TOO_FEW_DRIVEN_BLOCKS = "too_few_driven_blocks"  # blocks in which the car drives, a count
+    IDLE_TIME = "idle_time"  # time in which the signal is silent or the car does not drive, s; limit: of the logs' s
+    NO_MOTION = "no_motion"  # the logs hold no speed
+    NOTHING_COMPARABLE = "nothing_comparable"  # the logs hold no signal that a simulation gives
+    LOG_WITHOUT_SPEED = "log_without_speed"  # a log is left out
+    # The others of the search (search.py)
+    OUTSCORED = "outscored"  # evidence, less than that of the candidate in `others`, nats
     # A candidate's own score (criteria.py)
     EVIDENCE = "evidence"  # log evidence over its base model, nats
     PREDICTIVE_GAIN = "holdout_gain"  # cross-validated log likelihood over its base model, nats
@@ -77,6 +106,9 @@ class Reason(NamedTuple):
         key: the signal, parameter or effect that the numbers are of.
         link: the signal's residual, where the reason is one.
         detail: of KNOWN_TO_CALIBRATION, (parameter, value now, value in the calibration logs).
+        stage: where the search rejected a candidate; None for the reasons of the verdict.
+        beside: of a stage, the effects that were in the model beside this one.
+        note: what the model or the logs say of it (a plant's message); only shown.
     """
 
     criterion: Criterion
@@ -87,6 +119,9 @@ class Reason(NamedTuple):
     key: str = ""
     link: LinkResidual | None = None
     detail: tuple[tuple[str, float, float], ...] = ()
+    stage: RejectionStage | None = None
+    beside: tuple[str, ...] = ()
+    note: str = ""
 
 
 class Verdict(NamedTuple):
@@ -102,8 +137,29 @@ class Verdict(NamedTuple):
 
 
 def reason_entry(reason: Reason) -> dict[str, Any]:
-    """An entry of gap.json's `reasons`: name, criterion, and the finite numbers compared."""
+    """An entry of gap.json's `reasons`: name, criterion, the finite numbers compared, and of a rejected candidate the
+    stage.
+    """
     numbers = {"value": reason.value, "limit": reason.limit}
     finite = {key: float(number) for key, number in numbers.items() if number is not None and isfinite(number)}
     signal = {"signal": reason.key} if reason.key else {}
-    return {"name": reason.name, "criterion": reason.criterion.value, **signal, **finite}
+    entry = {"name": reason.name, "criterion": reason.criterion.value, **signal, **finite}
+    if reason.stage is None:
+        return entry
+    names = {key: list(group) for key, group in (("beside", reason.beside), ("others", reason.others)) if group}
+    return {**entry, "stage": reason.stage.value, **names}
+
+
+def reason_from_entry(entry: Mapping[str, Any]) -> Reason:
+    """The reason in an entry of gap.json, as far as it is written there."""
+    stage = entry.get("stage")
+    return Reason(
+        Criterion(entry["criterion"]),
+        entry["name"],
+        entry.get("value"),
+        entry.get("limit"),
+        tuple(entry.get("others", ())),
+        entry.get("signal", ""),
+        stage=None if stage is None else RejectionStage(stage),
+        beside=tuple(entry.get("beside", ())),
+    )

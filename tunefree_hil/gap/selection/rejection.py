@@ -71,6 +71,7 @@ class SelectionOutcome(NamedTuple):
         dropped: why single effects were dropped.
         known: why effects are not new.
         known_names: the effects that were left out because they are not new.
+        rejected_candidates: why the search did not take, or took out, other candidates.
     """
 
     new_effects: list[CandidateScore]
@@ -81,6 +82,7 @@ class SelectionOutcome(NamedTuple):
     dropped: tuple[Reason, ...]
     known: tuple[Reason, ...] = ()
     known_names: tuple[str, ...] = ()
+    rejected_candidates: tuple[Reason, ...] = ()
 
 
 def reject_effects(

@@ -9,6 +9,7 @@ fit gains for the other effects would count for the candidate.
 from __future__ import annotations
 
 from collections.abc import Collection, Generator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,15 +21,36 @@ from tunefree_hil.gap.estimation.evidence import (
 )
 from tunefree_hil.gap.progress import SearchProgress, SearchStage
 from tunefree_hil.gap.selection.baseline_misfit import BaselineMisfit
+from tunefree_hil.gap.selection.candidate_reasons import rejected_reasons, score_reasons
 from tunefree_hil.gap.selection.criteria import CRITERIA, SEARCH, CandidateScore
 from tunefree_hil.gap.selection.equivalence import find_better_rejected, find_equivalents
 from tunefree_hil.gap.selection.model_misfit import ModelMisfit, SearchContext
-from tunefree_hil.gap.selection.reasons import Reason
+from tunefree_hil.gap.selection.reasons import Criterion, Reason, RejectionStage
 from tunefree_hil.gap.selection.rejection import SelectionOutcome, reject_effects
 from tunefree_hil.gap.selection.scoring import Comparison, score_candidates
 from tunefree_hil.gap.workers.worker import FitSummary, OpenProblem
 
 Array = np.ndarray
+
+
+class SelectedSteps(NamedTuple):
+    """Effects of a search in its order, and why others, or some of these before, are rejected."""
+
+    steps: list[CandidateScore]
+    rejected: tuple[Reason, ...] = ()
+
+
+class SettledSteps(NamedTuple):
+    """Effects with their equivalents.
+
+    Args:
+        alone: every candidate scored alone, a single effect with its last model.
+        rejected: why other candidates do not stand in the place of an effect.
+    """
+
+    steps: list[CandidateScore]
+    alone: list[CandidateScore]
+    rejected: tuple[Reason, ...] = ()
 
 
 def select_effects(
@@ -42,20 +64,22 @@ def select_effects(
         recalibrated: what the model without effects leaves.
 
     Returns:
-        the candidates scored alone in the last round, and its outcome.
+        the candidates scored alone in the last round, and its outcome. What earlier rounds rejected is searched again.
     """
     known_names, known = set[str](), tuple[Reason, ...]()
     while True:
         remaining = context._replace(problem=_without_candidates(context.problem, known_names))
         alone = [score for score in scores if score.name not in known_names]
         added = yield from search_forward(remaining, alone)
-        steps = yield from search_backward(remaining, added)
-        steps, alone = yield from settle_steps(remaining, alone, steps, shortened=len(steps) < len(added))
+        stay = yield from search_backward(remaining, added.steps)
+        is_shorter = len(stay.steps) < len(added.steps)
+        steps, alone, unsettled = yield from settle_steps(remaining, alone, stay.steps, shortened=is_shorter)
         yield SearchProgress(SearchStage.REMAINDER, "what is left unexplained")
         outcome = reject_effects(remaining, steps, alone, recalibrated, baseline)
         known += outcome.known
         if not outcome.known_names:
-            return alone, outcome._replace(known=known)
+            rejected = (*added.rejected, *stay.rejected, *unsettled)
+            return alone, outcome._replace(known=known, rejected_candidates=rejected)
         known_names |= set(outcome.known_names)
 
 
@@ -65,26 +89,41 @@ def _without_candidates(problem: OpenProblem, names: Collection[str]) -> OpenPro
 
 def search_forward(
     context: SearchContext, alone: list[CandidateScore]
-) -> Generator[SearchProgress, None, list[CandidateScore]]:
+) -> Generator[SearchProgress, None, SelectedSteps]:
     """Add one effect after another, each scored beside those before it and fitted with them."""
     first = _first_step(alone)
     if first is None:
-        return []
-    steps = [first]
+        return SelectedSteps([])
+    steps, rejected = [first], list[Reason]()
     while len(steps) < SEARCH.max_effects:
         selected = {step.name for step in steps}
         names = [candidate.name for candidate in context.problem.candidates if candidate.name not in selected]
         yield SearchProgress(
             SearchStage.FURTHER_EFFECTS, f"further effects beside {', '.join(step.name for step in steps)}"
         )
+        beside = tuple(step.name for step in steps)
         scores = fit_and_score(context, names, steps[-1].model)
-        if not scores or not scores[0].is_accepted or find_better_rejected(scores):
+        rejected += context.pool.unfitted_beside(steps[-1].model)
+        rejected += score_reasons(scores, RejectionStage.FORWARD, beside)
+        if not scores or not scores[0].is_accepted:
+            break
+        if better := find_better_rejected(scores):
+            rejected.append(_outdone_reason(scores[0], better, RejectionStage.FORWARD, beside))
             break
         score = _score_beside_others(context, scores[0])
         if not score.is_accepted:
+            rejected += score_reasons([score], RejectionStage.FORWARD, beside)
             break
         steps.append(_with_equivalents(score, find_equivalents(scores, context.blocks), scores))
-    return steps if first.is_accepted or len(steps) > 1 else []
+    return SelectedSteps(steps if first.is_accepted or len(steps) > 1 else [], tuple(rejected))
+
+
+def _outdone_reason(
+    best: CandidateScore, better: CandidateScore, stage: RejectionStage, beside: tuple[str, ...]
+) -> Reason:
+    """That a candidate which fails its own score explains more than the best one."""
+    evidence, others = (best.evidence, better.evidence), (better.name,)
+    return Reason(Criterion.BETTER_REJECTED, best.name, *evidence, others=others, stage=stage, beside=beside)
 
 
 def _first_step(alone: Sequence[CandidateScore]) -> CandidateScore | None:
@@ -104,49 +143,63 @@ def _first_step(alone: Sequence[CandidateScore]) -> CandidateScore | None:
 
 def search_backward(
     context: SearchContext, steps: list[CandidateScore]
-) -> Generator[SearchProgress, None, list[CandidateScore]]:
+) -> Generator[SearchProgress, None, SelectedSteps]:
     """Take out effects that are no longer accepted beside those found later."""
     if len(steps) < 2:
-        return steps
+        return SelectedSteps(steps)
     yield SearchProgress(SearchStage.ELIMINATION, "each effect without the others")
-    last, stay = steps[-1].model, steps
+    last, stay, rejected = steps[-1].model, steps, list[Reason]()
     for name in [step.name for step in steps]:
         # The newest was accepted beside all the others
         if len(stay) == 1 or (name == steps[-1].name and len(stay) == len(steps)):
             break
         rest = context.pool.fit_without_effects(last, [name])[name]
-        if not _score(context, {name: last}, rest)[0].is_accepted:
+        score = _score(context, {name: last}, rest)[0]
+        if not score.is_accepted:
             last, stay = rest, [step for step in stay if step.name != name]
-    return [*stay[:-1], stay[-1]._replace(model=last)]
+            beside = tuple(step.name for step in stay)
+            rejected += score_reasons([score], RejectionStage.BACKWARD, beside)
+    return SelectedSteps([*stay[:-1], stay[-1]._replace(model=last)], tuple(rejected))
 
 
 def settle_steps(
     context: SearchContext, alone: list[CandidateScore], steps: list[CandidateScore], shortened: bool = False
-) -> Generator[SearchProgress, None, tuple[list[CandidateScore], list[CandidateScore]]]:
+) -> Generator[SearchProgress, None, SettledSteps]:
     """Find the equivalents of each effect; a single one is scored again, and the best candidate takes its place.
 
     Args:
         alone: every candidate scored alone.
         shortened: an effect was taken out, so that the equivalents of the newest have to be found again.
-
-    Returns:
-        the effects with their equivalents; the candidates scored alone, a single effect with its last model.
     """
     if not steps:
-        return [], alone
+        return SettledSteps([], alone)
     if len(steps) == 1:
-        if alone[0].name != steps[0].name:
-            models = {score.name: score.model for score in alone} | {steps[0].name: steps[0].model}
-            alone = _score(context, models, context.problem.recalibrated)
-        if not alone[0].is_accepted or find_better_rejected(alone):
-            return [], alone
-        return [_with_equivalents(alone[0], find_equivalents(alone, context.blocks), alone)], alone
-    settled, last = [], steps[-1].model
+        return _settle_single(context, alone, steps[0])
+    settled, last, rejected = list[CandidateScore](), steps[-1].model, list[Reason]()
     for step in steps if shortened else steps[:-1]:
         yield SearchProgress(SearchStage.ELIMINATION, f"each candidate in the place of {step.name}")
-        settled.append(_score_in_place(context, steps, step))
+        in_place = _score_in_place(context, steps, step)
+        settled += in_place.steps
+        rejected += in_place.rejected
     settled += steps[len(settled) :]
-    return [*settled[:-1], settled[-1]._replace(model=last)], alone
+    return SettledSteps([*settled[:-1], settled[-1]._replace(model=last)], alone, tuple(rejected))
+
+
+def _settle_single(context: SearchContext, alone: list[CandidateScore], step: CandidateScore) -> SettledSteps:
+    """The best of all candidates takes the place of a single effect, which is scored with its last model."""
+    if alone[0].name != step.name:
+        models = {score.name: score.model for score in alone} | {step.name: step.model}
+        alone = _score(context, models, context.problem.recalibrated)
+    best, own = alone[0], [score for score in alone if score.name == step.name]
+    better = find_better_rejected(alone) if best.is_accepted else None
+    if better is not None:
+        outdone = _outdone_reason(best, better, RejectionStage.SETTLING, ())
+        return SettledSteps([], alone, (outdone, *score_reasons(own, RejectionStage.SETTLING)))
+    if not best.is_accepted:
+        return SettledSteps([], alone, score_reasons(own, RejectionStage.SETTLING))
+    equivalents = find_equivalents(alone, context.blocks)
+    rejected = rejected_reasons([best, *own], (best.name, *equivalents), RejectionStage.SETTLING)
+    return SettledSteps([_with_equivalents(best, equivalents, alone)], alone, rejected)
 
 
 def fit_and_score(
@@ -240,7 +293,7 @@ def _score_beside_others(context: SearchContext, step: CandidateScore) -> Candid
     return _score(context, {step.name: step.model}, rest)[0]
 
 
-def _score_in_place(context: SearchContext, steps: list[CandidateScore], step: CandidateScore) -> CandidateScore:
+def _score_in_place(context: SearchContext, steps: list[CandidateScore], step: CandidateScore) -> SelectedSteps:
     """Score one of several steps among all other candidates, beside the rest of the steps."""
     last = steps[-1].model
     rest = context.pool.fit_without_effects(last, [step.name])[step.name]
@@ -249,7 +302,11 @@ def _score_in_place(context: SearchContext, steps: list[CandidateScore], step: C
     scores = fit_and_score(context, names, rest, {step.name: last})
     score = next(score for score in scores if score.name == step.name)
     equal = [scores[0].name, *find_equivalents(scores, context.blocks)] if scores[0].is_accepted else []
-    return _with_equivalents(score, [name for name in equal if name != step.name], scores)
+    beside = tuple(other.name for other in steps if other.name != step.name)
+    rejected = rejected_reasons(scores, (*equal, step.name), RejectionStage.SETTLING, beside)
+    unfitted = context.pool.unfitted_beside(rest)
+    settled = _with_equivalents(score, [name for name in equal if name != step.name], scores)
+    return SelectedSteps([settled], (*unfitted, *rejected))
 
 
 def _with_equivalents(score: CandidateScore, names: Sequence[str], scores: Sequence[CandidateScore]) -> CandidateScore:

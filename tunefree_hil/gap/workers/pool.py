@@ -10,6 +10,7 @@ from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 from tunefree_hil.gap.estimation.grid import StartPoint
 from tunefree_hil.gap.estimation.least_squares import Fit
 from tunefree_hil.gap.estimation.residuals import ProblemSpec
+from tunefree_hil.gap.selection.reasons import Criterion, Reason, RejectionStage
 from tunefree_hil.gap.workers import worker
 from tunefree_hil.gap.workers.worker import FitSummary, OpenProblem
 from tunefree_hil.learn.compiled_process import CompiledProcess
@@ -42,7 +43,7 @@ class WorkerPool:
         fits_all: fit all candidates fully, however little they gain
 
     Attributes:
-        impossible_candidates: effects of which no value gives a possible car, with the reason
+        impossible_candidates: why effects are impossible, of which no value gives a possible car
         max_effect_shares: largest RMS change that each candidate alone makes to a target, as a share of its signal
     """
 
@@ -50,7 +51,8 @@ class WorkerPool:
         self.spec = spec
         self.fits_all = fits_all
         self.workers = [CompiledProcess() for _ in range(workers)]
-        self.impossible_candidates: dict[str, str] = {}
+        self.impossible_candidates: dict[str, Reason] = {}
+        self._unfitted: dict[tuple[str, ...], tuple[Reason, ...]] = {}  # by the effects in the model added to
         self.max_effect_shares: dict[str, float] = {}
 
     def open(self) -> OpenProblem:
@@ -66,14 +68,15 @@ class WorkerPool:
             start: the model that they are added to; None for the recalibrated one
             noise_source: the model whose noise is used; None for `start`
 
-        Returns: the fits by candidate, without those that gain nothing or are impossible
+        Returns: the fits by candidate, without those that gain nothing or are impossible; why, is in `unfitted_beside`
         """
         base, source = (None if summary is None else summary.fit for summary in (start, noise_source))
         starts: dict[str, StartPoint] = {}
+        impossible: dict[str, str] = {}
         calls = [(share, base, source) for share in self._split(names)]
-        for share_starts, impossible in self._run_all(worker.scan_candidates, calls):
+        for share_starts, share_impossible in self._run_all(worker.scan_candidates, calls):
             starts |= share_starts
-            self._record_impossible(impossible, base)
+            impossible |= share_impossible
         if start is None and noise_source is None:
             self.max_effect_shares |= {name: point.max_effect_share for name, point in starts.items()}
         min_gain, full_fit_gain = self._screening_gains(starts)
@@ -82,10 +85,20 @@ class WorkerPool:
         shares = [{name: starts[name] for name in share} for share in self._split(fitted)]
         fits: dict[str, FitSummary] = {}
         calls = [(share, base, full_fit_gain, source) for share in shares]
-        for share_fits, impossible in self._run_all(worker.fit_candidates, calls):
+        for share_fits, share_impossible in self._run_all(worker.fit_candidates, calls):
             fits |= share_fits
-            self._record_impossible(impossible, base)
+            impossible |= share_impossible
+        reasons = _impossible_reasons(impossible, _effect_names(base))
+        if base is None:  # beside another effect, a possible one may become impossible
+            self.impossible_candidates |= {reason.name: reason for reason in reasons}
+        if noise_source is None:  # by the noise of another model, fits are only made again
+            screened = {name: point.gain for name, point in starts.items() if point.priority <= min_gain}
+            self._unfitted[_effect_names(base)] = (*reasons, *_screening_reasons(screened, min_gain, base))
         return fits
+
+    def unfitted_beside(self, model: FitSummary | None) -> tuple[Reason, ...]:
+        """Why candidates were not fitted that were added to a model; None for the recalibrated one."""
+        return self._unfitted.get(_effect_names(None if model is None else model.fit), ())
 
     def _screening_gains(self, starts: Mapping[str, StartPoint]) -> tuple[float, float]:
         """Gains above which a candidate is fitted at all, and above which it is fitted fully."""
@@ -94,11 +107,6 @@ class WorkerPool:
         best = max((point.gain for point in starts.values()), default=0.0)
         min_gain = max(CRITERIA.min_gain, CRITERIA.min_share_of_best * best)
         return min_gain, max(CRITERIA.min_gain, CRITERIA.full_fit_share * best)
-
-    def _record_impossible(self, impossible: Mapping[str, str], base: Fit | None) -> None:
-        """Record candidates that are impossible alone; beside another effect, a possible one may become impossible."""
-        if base is None:
-            self.impossible_candidates |= impossible
 
     def refine_fits(self, models: Sequence[FitSummary]) -> list[FitSummary]:
         """Refine models until nothing is gained; in their order."""
@@ -142,3 +150,25 @@ class WorkerPool:
             raise
         finally:
             threads.shutdown()
+
+
+def _effect_names(fit: Fit | None) -> tuple[str, ...]:
+    """The effects in a model, in their order; none in the recalibrated one (None)."""
+    return () if fit is None else tuple(dict.fromkeys(free.key.partition(".")[0] for free in fit.free))
+
+
+def _impossible_reasons(messages: Mapping[str, str], beside: tuple[str, ...]) -> tuple[Reason, ...]:
+    """messages: what the vehicle model says of each candidate."""
+    stage = RejectionStage.SCREENING if beside else RejectionStage.UNTESTABLE
+    return tuple(
+        Reason(Criterion.IMPOSSIBLE, name, stage=stage, beside=beside, note=message)
+        for name, message in messages.items()
+    )
+
+
+def _screening_reasons(gains: Mapping[str, float], min_gain: float, base: Fit | None) -> tuple[Reason, ...]:
+    """gains: of the candidates that are not fitted."""
+    stage, beside = RejectionStage.SCREENING, _effect_names(base)
+    return tuple(
+        Reason(Criterion.SCREENED, name, gain, min_gain, stage=stage, beside=beside) for name, gain in gains.items()
+    )

@@ -31,6 +31,7 @@ from tunefree_hil.gap.estimation.nuisance import (
 )
 from tunefree_hil.gap.estimation.residuals import ProblemSpec, ResidualModel, TargetProperties, rms_difference
 from tunefree_hil.gap.measured.blocks import Blocks
+from tunefree_hil.gap.selection.reasons import Reason
 
 Array = np.ndarray
 
@@ -61,7 +62,7 @@ class OpenProblem(NamedTuple):
         target_properties: by target
         signal_scales: by target, standard deviation of the measured signal
         candidates: effects that may explain what is missed
-        untestable_effects: the others, with the reason
+        untestable_effects: why the others cannot be tested
         broken_targets: targets that recalibration alone leaves broken; None before that was assessed
         targets_within_baseline: of these, the ones that the model misses on its calibration logs as well
         nuisances: what recalibration may move
@@ -72,7 +73,7 @@ class OpenProblem(NamedTuple):
     target_properties: dict[str, TargetProperties]
     signal_scales: dict[str, float]
     candidates: tuple[Candidate, ...]
-    untestable_effects: dict[str, str]
+    untestable_effects: dict[str, Reason]
     broken_targets: frozenset[str] | None = None
     targets_within_baseline: frozenset[str] = frozenset()
     nuisances: tuple[Nuisance, ...] = ()

@@ -11,7 +11,6 @@ import shlex
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
 from tunefree_hil.base.events import Event
@@ -21,28 +20,25 @@ from tunefree_hil.collect.coverage import coverage_map_lines
 from tunefree_hil.collect.envelope import EnvelopeExcess
 from tunefree_hil.collect.features import describe_missing_reports
 from tunefree_hil.config.load import load_scenario
-from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.jobs.collect.picture import draw_map
 from tunefree_hil.jobs.collect.plan import (
-    CollectOptions,
-    StartPose,
+    CollectSetup,
     drive_name,
     open_folder,
     require_area,
     resolve_setup,
     run_record,
     write_bench,
-    write_plan,
 )
 from tunefree_hil.jobs.collect.state import IDLE_DRIVES, Collection
 from tunefree_hil.jobs.command_text import PROGRAM, changed_options, shell_command
+from tunefree_hil.jobs.options.records import CollectOptions
 from tunefree_hil.jobs.run_folder import RunFolder, remove_partial_files
 from tunefree_hil.jobs.running.node_links import resolve_vehicle_bus
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 
-FIRST_PARAMETER = {
-    "mrac.p": 0.01
-}  # the planner has no parameters; a node starts loading with the first one it receives
+# The planner has no parameters; a node starts loading with the first one that it receives.
+FIRST_PARAMETER = {"mrac.p": 0.01}
 LOCK = "worker"  # locked while a process collects
 REPEATS = 2  # of a drive that lost a node
 EXIT_NOT_FULL = 1  # exit status
@@ -52,23 +48,19 @@ def collect(options: CollectOptions) -> Iterator[Event]:
     """Drive until every cell is full. Exit 1 where further drives fill no more cells."""
     from tunefree_hil.tune.store import exclusive_lock  # imports Optuna
 
-    vehicle, model, effects = resolve_setup(options)
-    require_area(vehicle, options)
-    record = run_record(vehicle, model, options, effects)
-    run = open_folder(vehicle, options, record)
+    setup = resolve_setup(options)
+    require_area(setup.vehicle, options)
+    run = open_folder(setup.vehicle, options, run_record(setup, options))
     with exclusive_lock(run.path / LOCK):  # two processes must not write the same drives
-        yield from _collect_in(run, vehicle, model, options, effects)
+        yield from _collect_in(run, setup, options)
 
 
-def _collect_in(
-    run: RunFolder, vehicle: VehicleSpec, model: str, options: CollectOptions, effects: list[Any]
-) -> Iterator[Event]:
+def _collect_in(run: RunFolder, setup: CollectSetup, options: CollectOptions) -> Iterator[Event]:
     """Collect in a run folder: count the existing drives, then drive the missing ones."""
     remove_partial_files(run.path)
-    bench = write_bench(run, vehicle, model, options, effects)
-    collection = Collection(run, bench, options)
+    collection = Collection(run, write_bench(run, setup, options), options)
     yield Event("note", f"run folder {run.path}", {"resume": resume_command(options._replace(out=run.path))})
-    yield from (Event("warning", text) for text in describe_missing_reports(vehicle))
+    yield from (Event("warning", text) for text in describe_missing_reports(setup.vehicle))
     collection.count_existing()
     if collection.driven:
         yield Event("note", f"{len(collection.driven)} existing drives: {collection.progress_text}")
@@ -82,16 +74,10 @@ def _drive_until_full(collection: Collection) -> Iterator[Event]:
     options, bench, run = collection.options, collection.bench, collection.run
     session = options.session or f"collect-{os.getpid()}"
     resolve_vehicle_bus(bench, options.bus, session, options.bench_bus)
-    with BenchSession(
-        run.path / "bench.toml",
-        run.node_output(),
-        session=session,
-        bus=options.bus,
-        bench_bus=options.bench_bus,
-        realtime=options.realtime,
-        jitted_ecu=is_heavy(bench, bench.spec.model),
-        controller_role="collector",
-    ) as open_session:
+    bus = {"bus": options.bus, "bench_bus": options.bench_bus, "realtime": options.realtime}
+    jitted_ecu = is_heavy(bench, bench.spec.model)
+    launch = BenchLaunch(session, jitted_ecu=jitted_ecu, controller_role="collector", **bus)
+    with BenchSession(run.path / "bench.toml", run.node_output(), launch) as open_session:
         yield Event("note", f"bus: {open_session.choice.why}")
         started, had_s, drives = time.monotonic(), collection.coverage.collected_s, len(collection.driven)
         while collection.wants_more:
@@ -115,13 +101,8 @@ def _drive_until_full(collection: Collection) -> Iterator[Event]:
 
 def _drive_next(collection: Collection, session: BenchSession) -> Iterator[Event]:
     """Drive the next log; repeated where a node was lost. Raises BenchError after REPEATS repetitions."""
-    number, run = len(collection.driven) + 1, collection.run
-    start = collection.driven[-1].end if collection.driven else StartPose()
-    path = write_plan(
-        run, number, collection.options, start, collection.centre, collection.coverage, collection.next_stretches
-    )
-    scenario = load_scenario(path)
-    folder = run.episode(number)
+    number = len(collection.driven) + 1
+    scenario, folder = load_scenario(collection.write_plan(number)), collection.run.episode(number)
     for lost in range(REPEATS + 1):
         try:
             outcome = session.drive(scenario, scenario.noise_seed, FIRST_PARAMETER, folder)
@@ -136,9 +117,8 @@ def _drive_next(collection: Collection, session: BenchSession) -> Iterator[Event
     os.replace(folder / "vehicle.log", collection.logs / f"{drive_name(number)}.log")
     taken = collection.count_drive(number)
     if taken.beyond.total_s > 0.0:
-        yield Event(
-            "warning", f"{taken.name}: {taken.beyond.total_s:.2f} s beyond the envelope: {_excess_text(taken.beyond)}"
-        )
+        text = f"{taken.beyond.total_s:.2f} s beyond the envelope: {_excess_text(taken.beyond)}"
+        yield Event("warning", f"{taken.name}: {text}")
 
 
 def require_stopped(code: int, name: str, folder: Path) -> None:
@@ -146,12 +126,9 @@ def require_stopped(code: int, name: str, folder: Path) -> None:
     if code == ErrorCode.STOPPED:
         return
     why = ErrorCode(code).sentence if code else "the vehicle did not come to a stop in time"
-    raise BenchError(
-        f"{name}: {why}",
-        code=ErrorCode(code).name.lower() if code else "not_stopped",
-        file=str(folder),
-        hint="the same command drives it again; its frames are in vehicle.log there",
-    )
+    message = f"{name}: {why}"
+    hint = "the same command drives it again; its frames are in vehicle.log there"
+    raise BenchError(message, code=ErrorCode(code).name.lower() if code else "not_stopped", file=str(folder), hint=hint)
 
 
 def _finish(collection: Collection) -> Iterator[Event]:
@@ -168,24 +145,20 @@ def _finish(collection: Collection) -> Iterator[Event]:
         sentence += f"; the last {IDLE_DRIVES} drives filled no more cells; missing: {'; '.join(missing[:6])}"
         sentence += f" and {len(missing) - 6} more" if len(missing) > 6 else ""
     run.finish(cells_full=coverage.full, cells_wanted=coverage.wanted, simulated_s=collection.simulated_s)
-    logs = str(collection.logs)
-    yield Event(
-        "result",
-        sentence,
-        {
-            "sentence": sentence,
-            "run": str(run.path),
-            "logs": [f"{logs}/{one.name}.log" for one in collection.driven],
-            "cells_full": coverage.full,
-            "cells_wanted": coverage.wanted,
-            "missing": missing,
-            "simulated_s": collection.simulated_s,
-            "beyond_envelope_s": out_s,
-            "figures": [str(figure)],
-            "exit": EXIT_NOT_FULL if missing else 0,
-            "next": [_next(collection)],
-        },
-    )
+    data = {
+        "sentence": sentence,
+        "run": str(run.path),
+        "logs": [f"{collection.logs}/{one.name}.log" for one in collection.driven],
+        "cells_full": coverage.full,
+        "cells_wanted": coverage.wanted,
+        "missing": missing,
+        "simulated_s": collection.simulated_s,
+        "beyond_envelope_s": out_s,
+        "figures": [str(figure)],
+        "exit": EXIT_NOT_FULL if missing else 0,
+        "next": [_next(collection)],
+    }
+    yield Event("result", sentence, data)
 
 
 def _next(collection: Collection) -> str:

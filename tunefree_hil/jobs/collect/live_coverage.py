@@ -12,7 +12,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.dbc.codec import Codec, Snapshot
 from tunefree_hil.bus.link import BusLink
-from tunefree_hil.bus.open import open_link, resolve_bus
+from tunefree_hil.bus.open import LinkRequest, open_link, resolve_bus
 from tunefree_hil.collect.cells import NO_CELL, classify_cell, make_target_cells
 from tunefree_hil.collect.coverage import Coverage, coverage_map_lines
 from tunefree_hil.collect.envelope import envelope_from_vehicle
@@ -81,7 +81,7 @@ def watch(options: WatchOptions) -> Iterator[Event]:
         hint = "--bus tfhub --session NAME, or --bus socketcan:can0"
         raise InputError("a virtual bus works inside one process only", code="one_process", key="--bus", hint=hint)
     fd = any(message.fd for message in (*codec.telemetry, *codec.commands))
-    link = open_link(choice, "vehicle", name="watch", role="observer", fd=fd)
+    link = open_link(choice, "vehicle", LinkRequest("watch", role="observer", fd=fd))
     stopped = {}
     try:
         yield Event("note", f"listening on {choice.vehicle_address}, without sending; the map shows what is missing")
@@ -135,7 +135,7 @@ class LiveCounter:
         self._decoder.receive(self._tick, [frame for frame in self._waiting if can_key(frame) not in commands])
         for frame in self._waiting:
             message = self.codec.by_id[can_key(frame)]
-            if message.key in commands and self.codec.fits(message, frame.data):
+            if message.key in commands and message.fits(frame.data):
                 self._commands.receive(message, frame.data)
         self._waiting = []
         elapsed = tick - self._tick

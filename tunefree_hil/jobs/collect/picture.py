@@ -12,7 +12,8 @@ from tunefree_hil.collect.coverage import Coverage, speed_band_rows
 
 def draw_map(path: Path, coverage: Coverage, title: str) -> Path:
     """Draw a coverage with a panel for each speed band. Returns the path."""
-    from tunefree_hil.figures.learning.coverage import CoveragePanel, write_coverage
+    from tunefree_hil.figures.learning.coverage import CoveragePanel, draw_coverage
+    from tunefree_hil.figures.style import save
 
     panels = []
     for group in speed_band_rows(coverage):
@@ -21,4 +22,4 @@ def draw_map(path: Path, coverage: Coverage, title: str) -> Path:
         have = np.array([[coverage.have_s(number) for number in row] for row in numbers])
         need = np.array([[coverage.counter.need[number] * coverage.dt_s for number in row] for row in numbers])
         panels.append(CoveragePanel(coverage.band_text(group[0]), have, need, PEDAL_BANDS, STEER_BANDS[::-1]))
-    return write_coverage(path, panels, coverage.quota_s, title)
+    return save(draw_coverage(panels, coverage.quota_s, title), path)

@@ -11,48 +11,20 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load
 from tunefree_hil.bench.load import whole_vehicle
 from tunefree_hil.collect.cells import TargetCell, max_planned_speed_mps
-from tunefree_hil.collect.coverage import Coverage
 from tunefree_hil.collect.envelope import Envelope, area_side_for_speed_m, envelope_from_vehicle
-from tunefree_hil.collect.plan import DrivePlan, plan_as_dict, plannable_cells
+from tunefree_hil.collect.plan import plannable_cells
 from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import available, find
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import VehicleSpec
+from tunefree_hil.jobs.options.records import CollectOptions
 from tunefree_hil.jobs.preconditions import VEHICLE_IS, require_model_of_vehicle, require_number
-from tunefree_hil.jobs.run_folder import (
-    SCHEMA,
-    RunFolder,
-    find_unfinished,
-    library_versions,
-    open_run,
-    write_json,
-    write_text,
-)
+from tunefree_hil.jobs.run_folder import RunFolder, find_unfinished, open_run, write_text
 
-DRIVE_S = 110.0  # default time after which a drive begins to stop
 MAX_VALUES = {"quota_s": 1e6, "area_m": 1e6, "top_mps": 1e3, "drive_s": 1e6}  # larger values are typing errors
 STOP_MARGIN_S = 60.0  # longest time from there to standstill; then the ECU's course ends
 FIRST_DRIVE = "drive-001"
-HOLD_NUMBERS_A_DRIVE = 7  # so that the first hold of each drive differs
 DEFAULT_ROOT = Path("runs")
-
-
-class CollectOptions(NamedTuple):
-    """Options of `collect`. out: run folder of this collection, None for a new one under runs/."""
-
-    bench: Path | None = None
-    vehicle: str | None = None
-    model: str | None = None
-    bus: str = "auto"
-    bench_bus: str = ""
-    session: str = ""
-    realtime: bool = False
-    out: Path | None = None
-    quota_s: float = 10.0
-    area_m: float = 400.0
-    top_mps: float | None = None
-    seed: int = 1
-    drive_s: float = DRIVE_S
 
 
 class StartPose(NamedTuple):
@@ -95,12 +67,8 @@ def resolve_setup(options: CollectOptions) -> CollectSetup:
     vehicle = whole_vehicle(options.vehicle)
     if options.model is None:
         known = [name for name in available("model") if load_model(name).vehicle == vehicle.name]
-        raise InputError(
-            "no model is given",
-            code="usage",
-            key="--model",
-            hint=f"models of {vehicle.name}: {', '.join(known) or 'none'}",
-        )
+        hint = f"models of {vehicle.name}: {', '.join(known) or 'none'}"
+        raise InputError("no model is given", code="usage", key="--model", hint=hint)
     return CollectSetup(vehicle, str(find("model", options.model).parent), [])
 
 
@@ -127,32 +95,28 @@ def require_driven_cells(targets: Sequence[TargetCell], envelope: Envelope, top_
     """The cells that are driven. Raises InputError where --top-mps leaves none."""
     driven = [one for one in targets if not one.excluded]
     if not driven:
-        top, hint = (
-            max_planned_speed_mps(envelope, top_mps),
-            f"give at least {0.5 * max_planned_speed_mps(envelope):.3g}",
-        )
-        raise InputError(
-            f"no cell can be driven with at most {top:.3g} m/s", code="too_slow", key="--top-mps", hint=hint
-        )
+        message = f"no cell can be driven with at most {max_planned_speed_mps(envelope, top_mps):.3g} m/s"
+        hint = f"give at least {0.5 * max_planned_speed_mps(envelope):.3g}"
+        raise InputError(message, code="too_slow", key="--top-mps", hint=hint)
     return driven
 
 
-def run_record(vehicle: VehicleSpec, model: str, options: CollectOptions, effects: list[Any]) -> dict[str, Any]:
+def run_record(setup: CollectSetup, options: CollectOptions) -> dict[str, Any]:
     """Record for run.json; it must agree for a collection to continue."""
-    spec = load_model(model)
-    require_model_of_vehicle(spec, vehicle, hint="name a model of this vehicle", needed=VEHICLE_IS)
+    vehicle, model = setup.vehicle, load_model(setup.model)
+    require_model_of_vehicle(model, vehicle, hint="name a model of this vehicle", needed=VEHICLE_IS)
     return {
         "command": "collect",
         "vehicle": vehicle.name,
-        "model": Path(model).name,
+        "model": Path(setup.model).name,
         "realtime": options.realtime,
         "quota_s": options.quota_s,
         "area_m": options.area_m,
         "top_mps": options.top_mps,
         "seed": options.seed,
         "drive_s": options.drive_s,
-        "effects": effects,
-        "hashes": {"vehicle": vehicle.hash, "model": spec.hash},
+        "effects": setup.effects,
+        "hashes": {"vehicle": vehicle.hash, "model": model.hash},
     }
 
 
@@ -165,23 +129,18 @@ def open_folder(vehicle: VehicleSpec, options: CollectOptions, record: dict[str,
         run = open_run(options.out)
         differing = sorted(key for key, value in record.items() if run.record.get(key) != value)
         if differing:
-            raise InputError(
-                f"contains a run with another {', '.join(differing)}",
-                code="other_run",
-                file=str(options.out),
-                hint="give another --out, or the same options as before",
-            )
+            message = f"contains a run with another {', '.join(differing)}"
+            hint = "give another --out, or the same options as before"
+            raise InputError(message, code="other_run", file=str(options.out), hint=hint)
         return run
     if options.out.is_dir() and any(options.out.iterdir()):
         hint = "give a folder that is new, empty, or contains this collection"
         raise InputError("is not empty and not a run folder", code="not_a_run", file=str(options.out), hint=hint)
     options.out.mkdir(parents=True, exist_ok=True)
-    run = RunFolder(options.out, {"schema": SCHEMA, "versions": library_versions(), "complete": False, **record})
-    write_json(run.path / "run.json", run.record)
-    return run
+    return RunFolder.begin(options.out, record)
 
 
-def write_bench(run: RunFolder, vehicle: VehicleSpec, model: str, options: CollectOptions, effects: list[Any]) -> Bench:
+def write_bench(run: RunFolder, setup: CollectSetup, options: CollectOptions) -> Bench:
     """Write and load the bench file of the nodes, with its first scenario."""
     scenarios = run.path / "scenarios"
     scenarios.mkdir(exist_ok=True)
@@ -190,12 +149,12 @@ def write_bench(run: RunFolder, vehicle: VehicleSpec, model: str, options: Colle
         write_scenario(scenarios / f"{FIRST_DRIVE}.toml", 1, StartPose(), options.seed, options.drive_s)
     bench = {
         "schema": "tunefree.bench/1",
-        "vehicle": vehicle.folder,
-        "model": str(Path(model).resolve()),
+        "vehicle": setup.vehicle.folder,
+        "model": str(Path(setup.model).resolve()),
         "scenarios": [FIRST_DRIVE],
         "weights": "default",
         "seed": options.seed,
-        "effects": effects,
+        "effects": setup.effects,
     }
     write_text(run.path / "bench.toml", to_toml(bench))
     return load(run.path / "bench.toml")
@@ -214,29 +173,3 @@ def write_scenario(path: Path, number: int, start: StartPose, seed: int, drive_s
         "curvature": still,
     }
     write_text(path, to_toml(data))
-
-
-def write_plan(
-    run: RunFolder,
-    number: int,
-    options: CollectOptions,
-    start: StartPose,
-    centre: tuple[float, float] | None,
-    coverage: Coverage,
-    stretches: tuple[int, int],
-) -> Path:
-    """Write scenario and plan of a drive. Returns the path of the scenario. The same logs give identical files."""
-    path = run.path / "scenarios" / f"{drive_name(number)}.toml"
-    write_scenario(path, number, start, options.seed, options.drive_s)
-    plan = DrivePlan(
-        options.quota_s,
-        options.area_m,
-        options.top_mps,
-        centre,
-        tuple(coverage.counter.have),
-        HOLD_NUMBERS_A_DRIVE * (number - 1),
-        options.drive_s,
-        stretches,
-    )
-    write_json(path.with_suffix(".json"), plan_as_dict(plan))
-    return path

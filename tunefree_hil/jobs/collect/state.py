@@ -11,12 +11,14 @@ from tunefree_hil.bench import Bench
 from tunefree_hil.collect.coverage import Coverage
 from tunefree_hil.collect.envelope import EnvelopeExcess, envelope_from_vehicle, measure_excess
 from tunefree_hil.collect.gentle_driving import MAX_STRETCHES_A_DRIVE, GentleStretch
-from tunefree_hil.collect.plan import plannable_cells, plannable_stretches
-from tunefree_hil.jobs.collect.plan import CollectOptions, StartPose, drive_name
+from tunefree_hil.collect.plan import DrivePlan, plan_as_dict, plannable_cells, plannable_stretches
+from tunefree_hil.jobs.collect.plan import StartPose, drive_name, write_scenario
+from tunefree_hil.jobs.options.records import CollectOptions
 from tunefree_hil.jobs.run_folder import RunFolder, write_json
 from tunefree_hil.learn.drives.drive import Drive
 from tunefree_hil.learn.drives.read import read_drives
 
+HOLD_NUMBERS_A_DRIVE = 7  # so that the first hold of each drive differs
 IDLE_DRIVES = 3  # consecutive drives with less than MIN_GAIN after which the collection ends
 MIN_GAIN = 0.05  # gained seconds of a drive, as a share of the quota of a cell
 
@@ -111,6 +113,18 @@ class Collection:
             CollectedDrive(drive_name(number), seconds, self.coverage.collected_s - before, out, start, end)
         )
         return self.driven[-1]
+
+    def write_plan(self, number: int) -> Path:
+        """Write scenario and plan of a drive. Returns the path of the scenario. The same logs give identical files."""
+        options = self.options
+        path = self.run.path / "scenarios" / f"{drive_name(number)}.toml"
+        start = self.driven[-1].end if self.driven else StartPose()
+        write_scenario(path, number, start, options.seed, options.drive_s)
+        have, first_hold = tuple(self.coverage.counter.have), HOLD_NUMBERS_A_DRIVE * (number - 1)
+        limits = (options.quota_s, options.area_m, options.top_mps, self.centre)
+        plan = DrivePlan(*limits, have, first_hold, options.drive_s, self.next_stretches)
+        write_json(path.with_suffix(".json"), plan_as_dict(plan))
+        return path
 
     def as_dict(self) -> dict[str, Any]:
         """coverage.json."""

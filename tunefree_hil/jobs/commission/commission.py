@@ -16,14 +16,13 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.commission import gates, stages
 from tunefree_hil.jobs.commission.gates import GateResult
 from tunefree_hil.jobs.commission.next_gap_command import find_shortfall, make_gap_command
-from tunefree_hil.jobs.commission.plan import NAMES, CommissionOptions, CommissionPlan, make_plan
+from tunefree_hil.jobs.commission.plan import CommissionPlan, make_plan
 from tunefree_hil.jobs.commission.record import CommissionRecord, open_record
 from tunefree_hil.jobs.commission.report import write_report
+from tunefree_hil.jobs.options.records import CommissionOptions
 
 EXIT_NOT_GOOD_ENOUGH = 1  # exit status
 RECORD_PERIOD_S = 10.0  # how often the wall time of a running stage is stored
-
-__all__ = ["NAMES", "STAGES", "CommissionStage", "commission"]
 
 
 class CommissionStage(NamedTuple):

@@ -17,12 +17,13 @@ from tunefree_hil.bench.load import whole_vehicle
 from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.load import load_bench, load_model
 from tunefree_hil.config.schema import BenchSpec, VehicleSpec
-from tunefree_hil.jobs.collect.plan import CollectOptions, require_area
+from tunefree_hil.jobs.collect.plan import require_area
 from tunefree_hil.jobs.command_text import changed_options, shell_command
 from tunefree_hil.jobs.commission.settings import tuning_hash, verify_hash
 from tunefree_hil.jobs.commission.vehicle import VEHICLE, write_vehicle
 from tunefree_hil.jobs.identity import resolved_toml
 from tunefree_hil.jobs.learn.report_text import find_benches
+from tunefree_hil.jobs.options.records import CollectOptions, CommissionOptions, TuneOptions
 from tunefree_hil.jobs.run_folder import write_text
 
 ROOT = Path("runs")
@@ -36,37 +37,6 @@ FOLDERS = {  # what each stage writes in the folder of the commission
 }
 NAMES = tuple(FOLDERS)  # of the stages, in their order
 BACKENDS = ("batch", "bus")
-
-
-class CommissionOptions(NamedTuple):
-    """The options of the command.
-
-    bench: None for the first bench file of the vehicle.
-    only, start_at: A stage to restart, alone or with all that follow.
-    least_covered: Smallest share of full cells of the collection.
-    most_error_m: Largest error of the learned plant after 10 s of free run, m.
-    most_outside: Largest share of the winner's ticks outside the region that the logs cover.
-    """
-
-    vehicle: str
-    bench: Path | None = None
-    out: Path | None = None
-    set_name: str | None = None
-    trials: int | None = None
-    kind: str = "hybrid"
-    quota_s: float = 10.0
-    area_m: float = 400.0
-    minutes: float | None = None
-    seed: int = 1
-    bus: str = "auto"
-    bench_bus: str = ""
-    backend: str = "batch"
-    top_mps: float | None = None
-    only: str = ""
-    start_at: str = ""
-    least_covered: float = 0.8
-    most_error_m: float = 15.0
-    most_outside: float = 0.25
 
 
 class CommissionPlan(NamedTuple):
@@ -154,13 +124,9 @@ def make_plan(options: CommissionOptions) -> CommissionPlan:
     bench = load(template.path)
     template = bench.spec  # with the made roads among its scenarios
     if not template.verify_model or not template.verify_scenarios:
-        raise InputError(
-            "has no verify_model with verify_scenarios: there is no vehicle to commission",
-            code="no_vehicle",
-            file=template.path,
-            key="verify_model",
-            hint="the bench file's verify_model is the vehicle",
-        )
+        message = "has no verify_model with verify_scenarios: there is no vehicle to commission"
+        hint = "the bench file's verify_model is the vehicle"
+        raise InputError(message, code="no_vehicle", file=template.path, key="verify_model", hint=hint)
     require_options(options)
     _require_stages(options, vehicle, template)
     folder = options.out or ROOT / f"commission-{vehicle.name}"
@@ -214,36 +180,25 @@ def require_options(options: CommissionOptions) -> None:
 
 def _require_stages(options: CommissionOptions, vehicle: VehicleSpec, template: BenchSpec) -> None:
     """Check what later stages would refuse only after the earlier ones: area, torch, set, bus, controller."""
-    from tunefree_hil.jobs.tune.options import TuneOptions, make_tune_plan
+    from tunefree_hil.jobs.tune.options import make_tune_plan
     from tunefree_hil.learn.training.torch_extra import require_torch
 
     require_area(vehicle, make_collect_options(options, Path(template.path), None))
     if find_spec("torch") is None:  # not imported: it takes seconds
         require_torch("commission (its stages learn and map)")
-    make_tune_plan(
-        TuneOptions(
-            bench=Path(template.path),
-            trials=options.trials,
-            set_name=options.set_name,
-            bus=options.bus,
-            bench_bus=options.bench_bus,
-            backend=options.backend,
-        )
-    )
+    make_tune_plan(make_tune_options(options, Path(template.path)))
 
 
 def make_collect_options(options: CommissionOptions, bench: Path, out: Path | None) -> CollectOptions:
     """The options of the stage collect."""
-    return CollectOptions(
-        bench=bench,
-        bus=options.bus,
-        bench_bus=options.bench_bus,
-        out=out,
-        quota_s=options.quota_s,
-        area_m=options.area_m,
-        top_mps=options.top_mps,
-        seed=options.seed,
-    )
+    same = ("bus", "bench_bus", "quota_s", "area_m", "top_mps", "seed")
+    return CollectOptions(bench=bench, out=out, **{name: getattr(options, name) for name in same})
+
+
+def make_tune_options(options: CommissionOptions, bench: Path, **more: Any) -> TuneOptions:
+    """The options of the stage tune; more: those that the commission does not have."""
+    same = ("trials", "set_name", "bus", "bench_bus", "backend")
+    return TuneOptions(bench, **{name: getattr(options, name) for name in same}, **more)
 
 
 def _template(options: CommissionOptions, vehicle: VehicleSpec) -> BenchSpec:

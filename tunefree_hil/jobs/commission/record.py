@@ -190,13 +190,8 @@ def _find_changes(plan: CommissionPlan, record: CommissionRecord) -> list[str]:
     change = f"{first} {old.get(first)!r}, now it is {plan.identity[first]!r}"
     if first in FILES:
         change = f"other {FILES[first]}, which have changed"
-    raise InputError(
-        f"was started with {change}",
-        code="other_commission",
-        file=str(record.path),
-        key=first,
-        hint=f"restore it, or give --from {stage} to restart that stage, or --out ANOTHER_FOLDER for a new commission",
-    )
+    hint = f"restore it, or give --from {stage} to restart that stage, or --out ANOTHER_FOLDER for a new commission"
+    raise InputError(f"was started with {change}", code="other_commission", file=str(record.path), key=first, hint=hint)
 
 
 def _require_earlier(plan: CommissionPlan, record: CommissionRecord) -> None:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterable
-from typing import Any
 
 from tunefree_hil.bench import Bench
 from tunefree_hil.config.dump import plain
-from tunefree_hil.jobs.identity import user_part_hashes
+from tunefree_hil.jobs.identity import data_sha256, user_part_hashes
 from tunefree_hil.jobs.running.foreign import program_hashes
 
 OPTIONS = ("set", "trials")  # of [tune]: options of the commission, which are in its identity
@@ -22,17 +19,15 @@ def tuning_hash(bench: Bench) -> str:
     tune = {key: value for key, value in plain(spec.tune).items() if key not in OPTIONS}
     controller = {key: value for key, value in plain(spec.controller).items() if key != LEARNED}
     files = [program_hashes(bench), user_part_hashes(bench, spec.model), plain(bench.weights) | {"path": ""}]
-    return _hash([tune, controller, spec.seed, plain(spec.faults), files, _scenario_hashes(bench, spec.scenarios)])
+    return data_sha256(
+        [tune, controller, spec.seed, plain(spec.faults), files, _scenario_hashes(bench, spec.scenarios)]
+    )
 
 
 def verify_hash(bench: Bench) -> str:
     """Hash of the scenarios of the verification."""
-    return _hash(_scenario_hashes(bench, bench.spec.verify_scenarios))
+    return data_sha256(_scenario_hashes(bench, bench.spec.verify_scenarios))
 
 
 def _scenario_hashes(bench: Bench, names: Iterable[str]) -> list[str]:
     return [bench.scenarios[name].hash for name in names]
-
-
-def _hash(data: Any) -> str:
-    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()

@@ -10,7 +10,7 @@ from typing import Any
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load
-from tunefree_hil.jobs.commission.plan import CommissionPlan, make_collect_options
+from tunefree_hil.jobs.commission.plan import CommissionPlan, make_collect_options, make_tune_options
 from tunefree_hil.jobs.run_folder import read_json
 
 RESULT_KEYS = frozenset(
@@ -87,27 +87,16 @@ def run_map(plan: CommissionPlan) -> Iterator[Event]:
 
 def run_tune(plan: CommissionPlan) -> Iterator[Event]:
     """The search on the learned plant; the verification is a stage of its own."""
-    from tunefree_hil.jobs.tune.options import TuneOptions
     from tunefree_hil.jobs.tune.tune import tune
 
-    options = TuneOptions(
-        bench=plan.write_bench(),
-        trials=plan.options.trials,
-        set_name=plan.options.set_name,
-        bus=plan.options.bus,
-        bench_bus=plan.options.bench_bus,
-        out=plan.folder / "tune",
-        resume=find_finished_tune(plan),
-        verify=False,
-        backend=plan.options.backend,
-    )
-    return tune(options)
+    more = {"out": plan.folder / "tune", "resume": find_finished_tune(plan), "verify": False}
+    return tune(make_tune_options(plan.options, plan.write_bench(), **more))
 
 
 def run_verify(plan: CommissionPlan) -> Iterator[Event]:
     """Winner and baselines on the vehicle, in the scenarios that the bench file has now."""
+    from tunefree_hil.jobs.options.records import VerifyOptions
     from tunefree_hil.jobs.tune.folder import write_bench_file
-    from tunefree_hil.jobs.tune.options import VerifyOptions
     from tunefree_hil.jobs.tune.verify import verify
 
     run = require_finished_tune(plan)

@@ -182,7 +182,7 @@ def rejection_fields(
         "verdict": verdict,
         "absorbed": may_be_absorbed(verdict, kind),
         "effects": [],
-        "reasons": [reason_entry(reason._replace(name=name)) for name in names],
+        "reasons": [*(reason_entry(reason._replace(name=name)) for name in names), *answer.get("reasons", ())],
         "changes": [],
         "taken_back": {"names": names, "explained_frac": gap_share and dict(gap_share), "shrinks": reductions},
         "explained_frac": None,

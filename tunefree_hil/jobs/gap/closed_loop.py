@@ -145,8 +145,15 @@ def _drive_again(log: Path, models: Mapping[str, str]) -> dict[str, SimulatedDri
     if all(one.error not in vehicle_ends and one.ticks * bench.dt_s < MIN_DRIVE_S for one in drives.values()):
         errors = join_names(sorted({one.error for one in drives.values()}))
         raise InputError(f"no model drives for {MIN_DRIVE_S:g} s, the drives end with {errors}", code="not_driven")
-    error = episode["error"].split(" ")[0]  # without the error number of a user's controller
-    return {MEASURED: SimulatedDrive(measured, measured.ticks, error), **drives}
+    return {MEASURED: SimulatedDrive(measured, measured.ticks, name_end(episode["error_code"])), **drives}
+
+
+def name_end(error_code: int) -> str:
+    """What ended a drive, as a simulated drive says it: '' for nothing, one name for all of a user's controller."""
+    from tunefree_hil.bus.bench_channel import ErrorCode
+
+    error = ErrorCode(error_code)
+    return "" if error is ErrorCode.NONE else error.name.lower()
 
 
 def _add_signals(sums: SignalSums, drives: Mapping[str, SimulatedDrive]) -> None:

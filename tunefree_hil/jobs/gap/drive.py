@@ -23,6 +23,7 @@ from tunefree_hil.collect.bounds import bounds_from_valid_region
 from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.estimation.candidates import indistinguishable_effects
 from tunefree_hil.gap.experiment_design import MANOEUVRES, Manoeuvre, next_manoeuvres, plan_manoeuvre
+from tunefree_hil.gap.selection.reasons import Criterion, reason_from_entry
 from tunefree_hil.jobs.gap.drive_bench import (
     ManoeuvreJob,
     drive_jobs,
@@ -45,7 +46,30 @@ MAX_ROUNDS = 3
 UNDECIDED = (SET, CANNOT_TEST)
 DRIVES_KEY = "drives"  # folder of the bench, with its logs in drives/logs; also the key of gap.json that lists them
 FIRST_ANSWER, FIRST_PAGE = "gap-1.json", "gap-1.md"
+COUNTED = (
+    Criterion.NOT_EXCITED,
+    Criterion.TOO_FEW_BLOCKS,
+    Criterion.TOO_FEW_DRIVEN_BLOCKS,
+    Criterion.IDLE_TIME,
+)
+OBSTACLES = (  # criteria that keep logs from being tested; of COUNTED ones the numbers matter
+    *COUNTED,
+    Criterion.UNMOVING,
+    Criterion.UNOBSERVABLE,
+    Criterion.NO_MOTION,
+    Criterion.NOTHING_COMPARABLE,
+    Criterion.LOG_WITHOUT_SPEED,
+)
 RESULT_KEYS = ("exit", "next")  # keys of a result that are not in gap.json
+
+
+class Obstacle(NamedTuple):
+    """What keeps logs from being tested: the criterion, its signal or quantity, and the numbers compared."""
+
+    criterion: Criterion
+    key: str
+    value: float | None = None
+    limit: float | None = None
 
 
 class DriveTask(NamedTuple):
@@ -177,10 +201,34 @@ def _drive_rounds(
             text = describe_conflict(answer)
             yield Event("warning", text)
             return {**before, "words": [*before["words"], text]}
-        if answer["verdict"] == CANNOT_TEST and answer["words"] == before["words"]:  # the same obstacles
+        if answer["verdict"] == CANNOT_TEST and has_same_obstacles(before, answer):
             yield Event("note", "the drives did not change why these logs cannot tell")
             return answer
     return answer
+
+
+def has_same_obstacles(before: Mapping[str, Any], answer: Mapping[str, Any]) -> bool:
+    """Whether the same keeps both logs from being tested, to the digits that are shown. An answer without reasons is of
+    an older program, and the next drives are made.
+    """
+    obstacles = _test_obstacles(answer)
+    return bool(obstacles) and obstacles == _test_obstacles(before)
+
+
+def _test_obstacles(answer: Mapping[str, Any]) -> frozenset[Obstacle]:
+    """What keeps logs from being tested, of whatever effect."""
+    reasons = [reason_from_entry(entry) for entry in answer.get("reasons", ())]
+    return frozenset(
+        Obstacle(reason.criterion, reason.key, *(_round_shown(number) for number in (reason.value, reason.limit)))
+        if reason.criterion in COUNTED
+        else Obstacle(reason.criterion, reason.key)
+        for reason in reasons
+        if reason.criterion in OBSTACLES
+    )
+
+
+def _round_shown(number: float | None) -> float | None:
+    return None if number is None else float(f"{number:.3g}")
 
 
 def is_conflict(before: Mapping[str, Any], answer: Mapping[str, Any]) -> bool:

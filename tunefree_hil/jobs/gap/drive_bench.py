@@ -31,7 +31,7 @@ from tunefree_hil.jobs.collector import PlannerAssigner
 from tunefree_hil.jobs.gap.options import GapDriveOptions
 from tunefree_hil.jobs.run_folder import RunFolder, write_json
 from tunefree_hil.jobs.running.node_links import resolve_vehicle_bus
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 from tunefree_hil.nodes.controller import ControllerPart
 from tunefree_hil.nodes.ecu import EcuPart
 from tunefree_hil.nodes.exchange import Exchange
@@ -52,7 +52,7 @@ class ManoeuvreJob(NamedTuple):
 
 def require_same_vehicle(options: GapDriveOptions, vehicle: VehicleSpec) -> None:
     """Raise InputError for a bench of another vehicle than the logs, or of this vehicle from another folder."""
-    bench_vehicle, _, _ = resolve_setup(_collection_options(options, Path()))
+    bench_vehicle = resolve_setup(_collection_options(options, Path())).vehicle
     if bench_vehicle.name != vehicle.name:
         message = f"drives {bench_vehicle.name!r}, the logs are of {vehicle.name!r}"
     elif bench_vehicle.hash != vehicle.hash:
@@ -66,17 +66,17 @@ def require_same_vehicle(options: GapDriveOptions, vehicle: VehicleSpec) -> None
 def open_bench(options: GapDriveOptions, folder: Path) -> tuple[RunFolder, Bench]:
     """Open the folder of the drives and its bench, new or continued. Raises InputError for another bench's folder."""
     collection = _collection_options(options, folder)
-    vehicle, model, effects = resolve_setup(collection)
-    run = open_folder(vehicle, collection, {**run_record(vehicle, model, collection, effects), "command": "gap"})
-    return run, write_bench(run, vehicle, model, collection, effects)
+    setup = resolve_setup(collection)
+    run = open_folder(setup.vehicle, collection, {**run_record(setup, collection), "command": "gap"})
+    return run, write_bench(run, setup, collection)
 
 
 def require_same_bench(options: GapDriveOptions, folder: Path) -> None:
     """Raise InputError where the drives in a folder were made by another bench."""
     collection = _collection_options(options, folder)
-    vehicle, model, effects = resolve_setup(collection)
+    setup = resolve_setup(collection)
     if (folder / "run.json").is_file():
-        open_folder(vehicle, collection, {**run_record(vehicle, model, collection, effects), "command": "gap"})
+        open_folder(setup.vehicle, collection, {**run_record(setup, collection), "command": "gap"})
 
 
 def _collection_options(options: GapDriveOptions, folder: Path) -> collect_plan.CollectOptions:
@@ -121,10 +121,7 @@ def drive_jobs(run: RunFolder, bench: Bench, jobs: Sequence[ManoeuvreJob], optio
     with BenchSession(
         run.path / "bench.toml",
         run.node_output(),
-        session=session,
-        bus=options.bus,
-        jitted_ecu=heavy,
-        controller_role="collector",
+        BenchLaunch(session=session, bus=options.bus, jitted_ecu=heavy, controller_role="collector"),
     ) as opened:
         yield Event("note", f"bus: {opened.choice.why}")
         for job in missing:
@@ -190,7 +187,7 @@ class InProcessExchange:
             interrupt(message)
         return self._logged(reply)
 
-    def say(self, *messages: Any, k: int = 0) -> None:
+    def send_messages(self, *messages: Any, k: int = 0) -> None:
         """Keep the error code of the ECU's last status."""
         statuses = [message for message in messages if isinstance(message, bc.Status)]
         self.code = next((status.error_code for status in statuses), self.code)

@@ -16,6 +16,8 @@ from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.gap.result import NO_LOCATION, SearchResult, make_search_result
+from tunefree_hil.gap.result_text import reason_text
+from tunefree_hil.gap.selection.reasons import Criterion, Reason, reason_entry
 from tunefree_hil.jobs.gap.calibration_logs import list_analysis_warnings
 from tunefree_hil.jobs.gap.folder import (
     ANSWER,
@@ -42,7 +44,12 @@ if TYPE_CHECKING:
 # stays short of its command, or a stuck echo, may be the gap in question.
 TOLERATED = ("no_speed", "too_short", "one_speed", "no_braking", "short_of_command", "echo_stuck")
 UNREPORTED = ("short",)  # the search measures it itself
-UNANSWERABLE = ("too_short", "standing", "nothing_to_compare", "no_motion")
+UNANSWERABLE = {  # codes of errors that are an answer, with what of these logs fails
+    "too_short": Criterion.TOO_FEW_BLOCKS,
+    "standing": Criterion.TOO_FEW_DRIVEN_BLOCKS,
+    "nothing_to_compare": Criterion.NOTHING_COMPARABLE,
+    "no_motion": Criterion.NO_MOTION,
+}
 BEFORE_HOLDOUT = {"unseen_shrink": None, "unseen_stirs": None}  # of an effect that is not verified yet
 T = TypeVar("T")
 
@@ -67,8 +74,8 @@ def run_gap(options: GapOptions) -> Iterator[Event]:
     yield from (Event("warning", text) for text in _compare_with_older_logs(drives, older))
     drives, without_speed = _drop_logs_without_speed(drives, vehicle, may_drop_all=False)
     older, older_without_speed = _drop_logs_without_speed(older, vehicle, may_drop_all=True)
-    excluded = tuple(f"{name} holds no speed and is left out" for name in (*without_speed, *older_without_speed))
-    yield from (Event("warning", text) for text in excluded)
+    excluded = tuple(Reason(Criterion.LOG_WITHOUT_SPEED, key=name) for name in (*without_speed, *older_without_speed))
+    yield from (Event("warning", reason_text(reason)) for reason in excluded)
     inputs = GapInputs(vehicle, model, apply_own_numbers(model, vehicle), drives, older, excluded)
     with lock_folder(options.out, question_record(drives, older, vehicle, model)) as folder:
         answer = folder.load_answer(options.until)
@@ -169,7 +176,8 @@ def _produce_answer(
         rest = _repair_and_verify(options, folder, inputs, opened, search)
         answer = yield from _add_resume_command(rest, options, saved=True)
     answer = _complete_answer(options, inputs, answer, time.monotonic() - began)
-    answer["words"] = [*answer["words"], *inputs.excluded_logs]
+    answer["words"] = [*answer["words"], *(reason_text(reason) for reason in inputs.excluded_logs)]
+    answer["reasons"] = [*answer.get("reasons", ()), *(reason_entry(reason) for reason in inputs.excluded_logs)]
     write_page(folder.page, answer, suggest_commands(options, answer, inputs.vehicle), build_command(options))
     folder.write_answer(answer)
     return answer
@@ -208,6 +216,10 @@ def _run_search(
 
 def _unanswerable_fields(error: InputError) -> dict[str, Any]:
     """Keys of gap.json for logs on which nothing can be tested."""
+    from tunefree_hil.gap.measured.excitation import TooLittleDriving
+
+    is_counted = isinstance(error, TooLittleDriving)
+    reasons = error.reasons if is_counted else (Reason(UNANSWERABLE[error.code]),)
     return {
         "verdict": "cannot_test",
         "forced": None,
@@ -223,6 +235,7 @@ def _unanswerable_fields(error: InputError) -> dict[str, Any]:
         "not_suspected": {},
         "candidates": [],
         "words": [error.message + (f": {error.hint}" if error.hint else "")],
+        "reasons": [reason_entry(reason) for reason in reasons],
     }
 
 

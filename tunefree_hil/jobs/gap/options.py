@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import ModelSpec, VehicleSpec
+    from tunefree_hil.gap.selection.reasons import Reason
     from tunefree_hil.learn.drives.drive import Drive
 
 
@@ -40,7 +41,7 @@ class GapInputs(NamedTuple):
         model: The same with the numbers from its calibration logs (gap/validation/repair.py).
         drives: Drives of the logs in question.
         older: Drives of `--older`.
-        excluded_logs: A text for each log that is left out.
+        excluded_logs: Why logs are left out.
     """
 
     vehicle: VehicleSpec
@@ -48,4 +49,4 @@ class GapInputs(NamedTuple):
     model: ModelSpec
     drives: list[Drive]
     older: list[Drive]
-    excluded_logs: tuple[str, ...] = ()
+    excluded_logs: tuple[Reason, ...] = ()

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from tunefree_hil.gap.result_text import STAGE_TEXTS, candidate_text
+from tunefree_hil.gap.selection.reasons import Reason, RejectionStage, reason_from_entry
 from tunefree_hil.jobs.gap.acceptance import needs_further_drive
 from tunefree_hil.jobs.gap.report_text import (
     CANNOT_TEST,
@@ -18,7 +20,8 @@ from tunefree_hil.jobs.gap.report_text import (
 from tunefree_hil.jobs.report_text import markdown_table
 from tunefree_hil.jobs.run_folder import write_text
 
-MAX_CANDIDATES = 10
+MAX_CANDIDATES, MAX_REJECTED = 10, 5  # that are listed
+STAGE = "stage"  # key of a reason against a candidate; the verdict's reasons have none
 GROUP_NAMES = {  # of gap/validation/update_selection.py
     "along": "the longitudinal parameters",
     "across": "the lateral parameters",
@@ -45,7 +48,13 @@ def write_page(path: Path, answer: Mapping[str, Any], following: Sequence[str], 
     lines = [f"# {answer['sentence']}", ""]
     lines += _next_step_lines(answer, following) + _remark_lines(answer) + _reason_lines(answer) + _drive_lines(answer)
     lines += _effect_lines(answer) + _holdout_lines(answer) + _older_log_lines(answer) + _figure_lines(path, answer)
-    lines += _link_lines(answer) + _candidate_lines(answer) + _change_lines(answer) + _unobservable_lines(answer)
+    lines += (
+        _link_lines(answer)
+        + _candidate_lines(answer)
+        + _rejection_lines(answer)
+        + _change_lines(answer)
+        + _unobservable_lines(answer)
+    )
     lines += ["## Made from", "", *(f"- {log['name']} `{log['hash']}`" for log in answer["logs"])]
     lines += [f"- model `{answer['model_hash']}`, vehicle `{answer['vehicle_hash']}`, version {answer['version']}", ""]
     write_text(path, "\n".join([*lines, "```", command, "```", ""]))
@@ -89,9 +98,40 @@ def _reason_lines(answer: Mapping[str, Any]) -> list[str]:
             _format_number(entry.get("limit")),
         )
         for entry in answer.get("reasons", ())
+        if STAGE not in entry
     ]
     head = ("effect", "criterion", "signal or parameter", "value", "limit")
     return ["## Reasons of the verdict", "", *markdown_table(head, rows)] if rows else []
+
+
+def _rejection_lines(answer: Mapping[str, Any]) -> list[str]:
+    """How many effects the search rejects at which stage, and where those with the most evidence fail at last."""
+    reasons = [reason_from_entry(entry) for entry in answer.get("reasons", ()) if STAGE in entry]
+    last = dict[str, Reason]()
+    for reason in reasons:
+        before = last.get(reason.name)
+        if before is None or (before.stage, before.beside) != (reason.stage, reason.beside):
+            last[reason.name] = reason  # the first criterion that it fails there
+    if not last:
+        return []
+    names = {stage: {reason.name for reason in reasons if reason.stage is stage} for stage in RejectionStage}
+    rows = [
+        (STAGE_TEXTS[stage], str(len(names[stage])), str(sum(reason.stage is stage for reason in reasons)))
+        for stage in RejectionStage
+        if names[stage]
+    ]
+    evidence = {candidate["name"]: candidate["evidence"] or 0.0 for candidate in answer["candidates"]}
+    named = {*answer["set"], *(effect["name"] for effect in answer["effects"])}
+    strongest = sorted(evidence.keys() & last.keys() - named, key=lambda name: (-evidence[name], name))
+    return [
+        "## Rejected candidates",
+        "",
+        "`reasons` in gap.json lists them all.",
+        "",
+        *markdown_table(("stage", "effects", "reasons"), rows),
+        *(f"- {candidate_text(last[name])}" for name in strongest[:MAX_REJECTED]),
+        *([""] if strongest else []),
+    ]
 
 
 def _drive_lines(answer: Mapping[str, Any]) -> list[str]:

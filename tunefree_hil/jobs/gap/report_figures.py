@@ -43,7 +43,8 @@ def draw_figures(
 
 
 def _draw_search(folder: Path, answer: Mapping[str, Any], search: SearchResult) -> Iterator[Path]:
-    from tunefree_hil.figures.gap.links import CandidateEvidence, RegionMisfit, write_evidence, write_regions
+    from tunefree_hil.figures.gap.links import CandidateEvidence, RegionMisfit, draw_evidence, draw_regions
+    from tunefree_hil.figures.style import save
     from tunefree_hil.gap.estimation.evidence import MIN_EVIDENCE_NATS
 
     if search.regions:
@@ -60,7 +61,7 @@ def _draw_search(folder: Path, answer: Mapping[str, Any], search: SearchResult) 
         ]
         unit = next((link["unit"] for link in answer["links"] if link["signal"] == search.signal), "")
         title = f"Misfit of {search.signal} ({answer['where']['link']}) with recalibration alone"
-        yield write_regions(folder / "where.png", regions, "" if unit == "1" else unit, title)
+        yield save(draw_regions(regions, "" if unit == "1" else unit, title), folder / "where.png")
     candidates = [
         CandidateEvidence(entry["name"], entry["evidence"], entry["held_out"][0], entry["counts"])
         for entry in answer["candidates"]
@@ -70,31 +71,32 @@ def _draw_search(folder: Path, answer: Mapping[str, Any], search: SearchResult) 
         best = max(candidates, key=lambda candidate: (candidate.is_accepted, candidate.evidence))
         result = f"{best.name} explains the logs best" if best.is_accepted else "none passes every criterion"
         title = f"Of the {len(candidates)} best candidates, {result}"
-        yield write_evidence(folder / "evidence.png", candidates, MIN_EVIDENCE_NATS, title)
+        yield save(draw_evidence(candidates, MIN_EVIDENCE_NATS, title), folder / "evidence.png")
 
 
 def _draw_holdout(
     folder: Path, answer: Mapping[str, Any], search: SearchResult, holdout: BlockErrors
 ) -> Iterator[Path]:
-    from tunefree_hil.figures.gap.gap_closed import SignalErrors, write_errors, write_signature, write_traces
+    from tunefree_hil.figures.gap.gap_closed import SignalErrors, draw_errors, draw_signature, draw_traces
+    from tunefree_hil.figures.style import save
 
     errors = [
         SignalErrors(name, gap["unit"], {key: gap[key] for key in VARIANTS if gap[key] is not None})
         for name, gap in answer["signals"].items()
     ]
-    yield write_errors(folder / "shrink.png", errors, _gap_title(answer))
+    yield save(draw_errors(errors, _gap_title(answer)), folder / "shrink.png")
     signals = SIGNALS.get(search.signal, ()) or tuple(answer.get("missed_in_proof") or ())
     block = select_block(holdout.traces, signals)
     first = [name for name in signals if name in block.measured][:1]
     further = [name for name in ALWAYS_SHOWN if name in block.measured and name not in first]
     shown = [*first, *further[:1], *(name for name in further if "yaw" in name)][:MAX_PANELS]
     traces = [_join_traces([block], name, answer) for name in shown or list(block.measured)[:1]]
-    yield write_traces(folder / "traces.png", traces, "A holdout block: recorded commands in, no correction")
+    yield save(draw_traces(traces, "A holdout block: recorded commands in, no correction"), folder / "traces.png")
     if first and "after" in block.simulated:
         one_block = _join_traces([block], first[0], answer, REPAIR_VARIANTS)
         all_blocks = _join_traces(holdout.traces, first[0], answer, REPAIR_VARIANTS)
         title = f"Residual without and with {' and '.join(search.names)}"
-        yield write_signature(folder / "signature.png", one_block, all_blocks, title)
+        yield save(draw_signature(one_block, all_blocks, title), folder / "signature.png")
 
 
 def select_block(blocks: Sequence[BlockTrace], names: Sequence[str]) -> BlockTrace:

@@ -6,17 +6,15 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
-from pathlib import Path
 from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.grade.checks import FAILED, REPLANS, SCORE, Condition, check_condition, parse_condition
-from tunefree_hil.grade.score import FINISHED
 from tunefree_hil.grade.table import names_by_aspect
 from tunefree_hil.jobs.drive import DEFAULT_ROOT
 from tunefree_hil.jobs.grade.run_drives import ProfiledRun, read_run
-from tunefree_hil.jobs.report_text import early_end
+from tunefree_hil.jobs.options.records import CompareOptions
 from tunefree_hil.jobs.run_folder import RunFolder, write_json
 
 SCHEMA = "tunefree.compare/1"
@@ -39,13 +37,14 @@ class MetricChange(Enum):
     MISSING = "not comparable"
 
 
-def compare(runs: Sequence[str], *, fail_if: Sequence[str], weights: str | None, out: Path | None) -> Iterator[Event]:
+def compare(options: CompareOptions) -> Iterator[Event]:
     """One line a metric on stdout, a block a scenario; compare.json and figures. Exit 1 when a condition holds."""
+    runs = options.runs
     if len(runs) < 2:
         raise InputError("at least two runs are needed", code="usage", key="RUN", hint="give two or more runs")
-    read, notes = _select_common(_labelled(_read_all(runs, weights)))
+    read, notes = _select_common(_labelled(_read_all(runs, options.weights)))
     names = list(read[0].drives)
-    conditions = [parse_condition(text, names) for text in fail_if]
+    conditions = [parse_condition(text, names) for text in options.fail_if]
     yield from (Event("note", f"{run.label}: {text}") for run, text in zip(read, runs, strict=True))
     yield from (Event("warning", note) for note in notes)
     tables = {name: metric_table([run.only([name]) for run in read]) for name in names}
@@ -57,7 +56,7 @@ def compare(runs: Sequence[str], *, fail_if: Sequence[str], weights: str | None,
         Event("line", f"{'FAIL' if one.holds else 'ok'}  {one.condition}: {one.run}: {one.words}") for one in findings
     )
     record = {"command": "compare", "runs": list(runs), "weights": read[0].weights.name}
-    folder = RunFolder.create(out or DEFAULT_ROOT, "compare", record)
+    folder = RunFolder.create(options.out or DEFAULT_ROOT, "compare", record)
     failing = [one for one in findings if one.holds]
     data: dict[str, Any] = {
         "runs": [run.label for run in read],
@@ -111,11 +110,9 @@ def _select_common(read: list[ProfiledRun]) -> tuple[list[ProfiledRun], list[str
             names.append(name)
     if not names:
         drove = "; ".join(f"{run.label} drove {', '.join(run.drives)}" for run in read)
-        raise InputError(
-            f"the runs have no common scenario: {'; '.join([drove, *changed])}",
-            code="nothing_common",
-            hint="compare runs of the same bench file, or drive the missing scenario",
-        )
+        message = f"the runs have no common scenario: {'; '.join([drove, *changed])}"
+        hint = "compare runs of the same bench file, or drive the missing scenario"
+        raise InputError(message, code="nothing_common", hint=hint)
     return [run.only(names) for run in read], [*notes, *_setup_notes(read)]
 
 
@@ -134,7 +131,7 @@ def metric_table(read: Sequence[ProfiledRun]) -> Table:
     combined = [run.combined() for run in read]
     table: Table = {SCORE: [run.score() for run in read]}
     table[REPLANS] = [float(sum(drive.replans for drive in run.drives.values())) for run in read]
-    table[FAILED] = [float(sum(drive.outcome != FINISHED for drive in run.drives.values())) for run in read]
+    table[FAILED] = [float(len(run.failed)) for run in read]
     for names in names_by_aspect().values():
         table |= {name: [values[name].value for values in combined] for name in names}
     return table
@@ -203,28 +200,28 @@ def _sentence(read: Sequence[ProfiledRun], table: Table) -> str:
 
 
 def _figures(folder: RunFolder, read: Sequence[ProfiledRun], tables: Mapping[str, Table]) -> list[str]:
-    from tunefree_hil.figures.profile import write_highlights, write_profile
-    from tunefree_hil.figures.scenario import DrivePicture, write_scenario
+    from tunefree_hil.figures.profile import draw_highlights, draw_profile
+    from tunefree_hil.figures.scenario import DrivePicture, draw_scenario
+    from tunefree_hil.figures.style import save
 
     def by_run(table: Table) -> dict[str, dict[str, float | None]]:
         return {run.label: {name: values[i] for name, values in table.items()} for i, run in enumerate(read)}
 
     figures, combined = folder.figures(), by_run(tables[COMBINED])
     over = f"over {len(read[0].drives)} scenarios{_failed_drives_text(read)}"
-    written = [write_highlights(figures / "highlights.png", combined, f"Highlighted metrics {over}")]
-    written.append(write_profile(figures / "profile.png", combined, f"All metrics {over}"))
+    written = [save(draw_highlights(combined, f"Highlighted metrics {over}"), figures / "highlights.png")]
+    written.append(save(draw_profile(combined, f"All metrics {over}"), figures / "profile.png"))
     for name in read[0].drives:
         drives = []
         for run in read:
             drive = run.drives[name]
-            drives.append(DrivePicture(run.label, drive.recording.columns, drive.score, early_end(drive.outcome)))
-        written.append(write_scenario(figures / f"{name}.png", name, drives))
-        written.append(write_highlights(figures / f"{name}_highlights.png", by_run(tables[name]), name))
+            drives.append(DrivePicture(run.label, drive.recording.columns, drive.score, drive.outcome))
+        written.append(save(draw_scenario(name, drives), figures / f"{name}.png"))
+        written.append(save(draw_highlights(by_run(tables[name]), name), figures / f"{name}_highlights.png"))
     return [str(path) for path in written]
 
 
 def _failed_drives_text(read: Sequence[ProfiledRun]) -> str:
     """Second line of a title: drives that did not reach their end; their metrics are those of the driven part."""
-    failed = {run.label: [name for name, drive in run.drives.items() if drive.outcome != FINISHED] for run in read}
-    texts = [f"{label}: {', '.join(names)}" for label, names in failed.items() if names]
+    texts = [f"{run.label}: {', '.join(run.failed)}" for run in read if run.failed]
     return f"\nnot driven to the end: {'; '.join(texts)}" if texts else ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_vehicle, load_weights
 from tunefree_hil.config.schema import WeightsSpec
 from tunefree_hil.episode.recording import Recording, save_recording
-from tunefree_hil.grade.align import AlignMode
 from tunefree_hil.grade.oscillation.report import OscillationReport, findings_as_data, oscillation_text
 from tunefree_hil.grade.profile import (
     DriveExtras,
@@ -34,10 +33,17 @@ from tunefree_hil.grade.score import (
 )
 from tunefree_hil.grade.table import PUBLISHED, TABLE, names_by_aspect
 from tunefree_hil.jobs.drive import DEFAULT_ROOT, find_scenario
-from tunefree_hil.jobs.log.drive import LogDrive, manual_driving_s, read_extras, read_log_drive, require_steady_clock
+from tunefree_hil.jobs.log.drive import (
+    LogColumns,
+    LogDrive,
+    manual_driving_s,
+    read_extras,
+    read_log_drive,
+    require_steady_clock,
+)
 from tunefree_hil.jobs.log.files import codec_for_log, load_log
+from tunefree_hil.jobs.options.records import GradeOptions
 from tunefree_hil.jobs.preconditions import require_number
-from tunefree_hil.jobs.report_text import early_end
 from tunefree_hil.jobs.run_folder import RunFolder, read_json, write_json
 
 SCHEMA = "tunefree.grade/1"
@@ -45,20 +51,6 @@ DEFAULT_WEIGHTS = "default"
 MAX_START_S = 1e9  # thirty years; beyond the end of a log anyway
 MIN_MANUAL_S = 0.5  # manual driving that is reported; the enable handshake at the start is shorter
 AGGREGATION_TEXT = {"std": "RMS of ", "peak": "peak of ", "mean": "mean of ", "share": ""}  # before a metric's words
-
-
-class GradeOptions(NamedTuple):
-    """Options of `grade`; None: as the log's run, or the default.
-
-    path: reference, a scenario or a CSV. start_s: start of the reference, in seconds from the first frame.
-    """
-
-    vehicle: str | None = None
-    path: str | None = None
-    align: AlignMode = "auto"
-    start_s: float | None = None
-    weights: str | None = None
-    out: Path | None = None
 
 
 def grade_log(log: Path, options: GradeOptions) -> Iterator[Event]:
@@ -103,8 +95,8 @@ def _read(
     if read.cut_warning:
         yield Event("warning", read.cut_warning)
     require_steady_clock(read.frames, log)
-    align, start_s = options.align, options.start_s
-    drive = read_log_drive(read.frames, codec, car, reference, align=align, start_s=start_s, folder=log.parent)
+    columns = LogColumns(read.frames, codec, log.parent)
+    drive = read_log_drive(columns, car, reference, align=options.align, start_s=options.start_s)
     notes = [*drive.notes, *_source_notes(drive.recording, manual_driving_s(read.frames, codec, drive.span_s))]
     yield from (Event("note", note) for note in notes)
     return drive._replace(notes=notes)
@@ -213,15 +205,16 @@ def _data(
 def _figures(
     run: RunFolder, name: str, drive: LogDrive, graded: ScenarioGrade | None, values: Mapping[str, MetricValue]
 ) -> list[str]:
-    from tunefree_hil.figures.profile import write_profile
-    from tunefree_hil.figures.scenario import DrivePicture, write_scenario
+    from tunefree_hil.figures.profile import draw_profile
+    from tunefree_hil.figures.scenario import DrivePicture, draw_scenario
+    from tunefree_hil.figures.style import save
 
-    score, ended = (None, "") if graded is None else (graded.score, early_end(graded.outcome))
-    shown = DrivePicture("log", drive.recording.columns, score, ended)
+    score, outcome = (None, "") if graded is None else (graded.score, graded.outcome)
+    shown = DrivePicture("log", drive.recording.columns, score, outcome)
     plain = {"log": {key: value.value for key, value in values.items()}}
     folder = run.figures()
-    written = [write_scenario(folder / "drive.png", name, [shown])]
-    written.append(write_profile(folder / "profile.png", plain, f"{name}: all metrics of one log"))
+    written = [save(draw_scenario(name, [shown]), folder / "drive.png")]
+    written.append(save(draw_profile(plain, f"{name}: all metrics of one log"), folder / "profile.png"))
     return [str(path) for path in written]
 
 
@@ -229,7 +222,8 @@ def _oscillation_figure(
     run: RunFolder, name: str, drive: LogDrive, car: GradeVehicle, report: OscillationReport
 ) -> list[str]:
     """The figure of the steering wheel; none for a log without it."""
-    from tunefree_hil.figures.oscillation import WheelPicture, write_oscillation
+    from tunefree_hil.figures.oscillation import WheelPicture, draw_oscillation
+    from tunefree_hil.figures.style import save
 
     steering = find_steering_residual(drive.recording, drive.course, car)
     if steering is None:
@@ -239,4 +233,4 @@ def _oscillation_figure(
     span_s = (found[0].from_s, found[0].to_s) if found else None
     wheel_deg, residual_deg = np.degrees(steering.wheel_rad), np.degrees(steering.residual_rad)
     picture = WheelPicture(f"{name}: {text}", wheel_deg, residual_deg, steering.dt_s, span_s)
-    return [str(write_oscillation(run.figures() / "oscillation.png", picture))]
+    return [str(save(draw_oscillation(picture), run.figures() / "oscillation.png"))]

@@ -10,10 +10,10 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_weights
 from tunefree_hil.grade.oscillation.report import METRIC_SIGNALS
-from tunefree_hil.grade.score import FINISHED
 from tunefree_hil.grade.table import PUBLISHED
-from tunefree_hil.jobs.grade.grade import GradeOptions, grade_log, metric_lines
+from tunefree_hil.jobs.grade.grade import grade_log, metric_lines
 from tunefree_hil.jobs.grade.run_drives import ProfiledRun, read_run, split_run
+from tunefree_hil.jobs.options.records import GradeOptions
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, write_json
 
 SCHEMA = "tunefree.grade_run/1"
@@ -62,17 +62,13 @@ def grade_run(text: str, *, weights: str | None) -> Iterator[Event]:
     data = _data(read)
     write_json(folder.path / f"grade{suffix}.json", {"schema": SCHEMA, **data})
     figure = _figure(folder, read, suffix)
-    known, failed = sum(combined[name].value is not None for name in PUBLISHED), _failed(read)
+    known = sum(combined[name].value is not None for name in PUBLISHED)
     score = "no score" if data["score"] is None else f"score {data['score']:.3f} by weights {read.weights.name!r}"
-    ended = f"; not driven to the end: {', '.join(failed)}" if failed else ""
+    ended = f"; not driven to the end: {', '.join(read.failed)}" if read.failed else ""
     shaking = oscillating_drives(read)
     ended += f"; OSCILLATES in {', '.join(shaking)}" if shaking else ""
     sentence = f"{known} of {len(PUBLISHED)} metrics available over {len(read.drives)} scenarios; {score}{ended}"
     yield Event("result", sentence, {"sentence": sentence, "run": str(folder.path), "figures": [figure], **data})
-
-
-def _failed(read: ProfiledRun) -> list[str]:
-    return [name for name, drive in read.drives.items() if drive.outcome != FINISHED]
 
 
 def oscillating_drives(read: ProfiledRun) -> list[str]:
@@ -110,11 +106,11 @@ def _data(read: ProfiledRun) -> dict[str, Any]:
 
 
 def _figure(folder: RunFolder, read: ProfiledRun, suffix: str) -> str:
-    from tunefree_hil.figures.profile import write_profile
+    from tunefree_hil.figures.profile import draw_profile
+    from tunefree_hil.figures.style import save
 
     plain = {read.label: {name: value.value for name, value in read.combined().items()}}
     title = f"{read.label}: all metrics over {len(read.drives)} scenarios"
-    failed = _failed(read)
-    if failed:
-        title += f"\nnot driven to the end: {', '.join(failed)}"
-    return str(write_profile(Path(folder.figures()) / f"profile{suffix}.png", plain, title))
+    if read.failed:
+        title += f"\nnot driven to the end: {', '.join(read.failed)}"
+    return str(save(draw_profile(plain, title), Path(folder.figures()) / f"profile{suffix}.png"))

@@ -50,6 +50,11 @@ class ProfiledRun(NamedTuple):
         """The same run with these scenarios only."""
         return self._replace(drives={name: self.drives[name] for name in names})
 
+    @property
+    def failed(self) -> list[str]:
+        """Scenarios that were not driven to their end."""
+        return [name for name, drive in self.drives.items() if drive.outcome != FINISHED]
+
     def combined(self) -> dict[str, MetricValue]:
         """The metrics of all scenarios combined."""
         return combine_profiles([drive.values for drive in self.drives.values()])
@@ -100,24 +105,18 @@ def _numbers(run: RunFolder, source: RunFolder, bench: Bench, candidate: str) ->
     wanted = None if run.record.get("command") == "drive" else _candidate_parameters(run, bench, candidate or TUNED)
     numbers = [number for number, parameters in _episodes(source) if wanted is None or parameters == wanted]
     if not numbers:
-        raise InputError(
-            f"contains no drive{f' of {candidate or TUNED}' if wanted else ''} with its columns",
-            code="no_columns",
-            file=str(source.path),
-            hint="it was interrupted, or its logs were deleted; drive it again",
-        )
+        message = f"contains no drive{f' of {candidate or TUNED}' if wanted else ''} with its columns"
+        hint = "it was interrupted, or its logs were deleted; drive it again"
+        raise InputError(message, code="no_columns", file=str(source.path), hint=hint)
     return numbers
 
 
 def _require_drives(run: RunFolder, candidate: str) -> None:
     command = str(run.record.get("command"))
     if command not in ("drive", "tune") or (command == "drive" and candidate):
-        raise InputError(
-            f"is a run of {command!r}" + (f", which has no candidate {candidate!r}" if candidate else ""),
-            code="not_a_drive",
-            file=str(run.path),
-            hint="give a run of drive, tune, verify or grade",
-        )
+        message = f"is a run of {command!r}" + (f", which has no candidate {candidate!r}" if candidate else "")
+        hint = "give a run of drive, tune, verify or grade"
+        raise InputError(message, code="not_a_drive", file=str(run.path), hint=hint)
 
 
 def _episodes(source: RunFolder) -> list[tuple[int, dict[str, float]]]:
@@ -147,12 +146,8 @@ def _read_episode(run: RunFolder, bench: Bench, number: int, weights: WeightsSpe
         raise InputError(
             "the scenario file changed since this drive", code="changed", file=scenario.path, hint="drive it again"
         )
-    recording, course, car = (
-        load_recording(folder / "columns.npz"),
-        bench.course(scenario),
-        grade_vehicle_from_spec(bench.vehicle),
-    )
-    extras = read_extras(folder)
+    recording, extras = load_recording(folder / "columns.npz"), read_extras(folder)
+    course, car = bench.course(scenario), grade_vehicle_from_spec(bench.vehicle)
     graded = grade_drive(recording, course, weights, car, scenario=scenario.name, error=extras.error or "")
     values = profile_drive(
         recording, course, car, against=weights.against, as_published=weights.as_published, extras=extras
@@ -167,12 +162,9 @@ def _read_graded_log(run: RunFolder, weights: WeightsSpec | None) -> ProfiledRun
     data = read_json(run.path / "grade.json")
     used = load_weights(str(run.record["weights"]))
     if weights is not None and weights.name != used.name:
-        raise InputError(
-            f"was graded by weights {used.name!r}, the first run by {weights.name!r}",
-            code="other_weights",
-            file=str(run.path),
-            hint=f"grade it again with --weights {weights.name}",
-        )
+        message = f"was graded by weights {used.name!r}, the first run by {weights.name!r}"
+        hint = f"grade it again with --weights {weights.name}"
+        raise InputError(message, code="other_weights", file=str(run.path), hint=hint)
     missing = MetricValue(None, 0, "not in grade.json")
     values = {name: MetricValue(**data["metrics"][name]) if name in data["metrics"] else missing for name in TABLE}
     drive = ProfiledDrive(

@@ -5,7 +5,6 @@ A parameter that the logs do not identify keeps the value of the data sheet with
 
 from __future__ import annotations
 
-import time
 from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,18 +15,15 @@ from tunefree_hil.jobs.gap.calibration_logs import analyse_calibration_logs, is_
 from tunefree_hil.jobs.learn.calibration import (
     SHORT_STEERING,
     CalibrationFit,
-    build_card,
-    fit_calibration,
+    calibrate_into,
+    has_same_logs,
     read_calibration_card,
     split_drives_for_fit,
-    write_calibrated_model,
 )
 from tunefree_hil.jobs.learn.logs import read_logs
 from tunefree_hil.jobs.learn.options import CalibrateOptions
 from tunefree_hil.jobs.learn.report_text import describe_channel, summarise_calibration
-from tunefree_hil.learn.compiled_process import CompiledProcess
 from tunefree_hil.learn.drives.drive import Drive, DriveSplit
-from tunefree_hil.learn.drives.road_slope import describe_accel_offsets
 from tunefree_hil.learn.model_folder import require_new_folder
 
 if TYPE_CHECKING:
@@ -77,22 +73,15 @@ def _is_interrupted(out: Path, vehicle: VehicleSpec, drives: Sequence[Drive], se
     card = read_calibration_card(out)
     if not card or is_analysed(out):
         return False
-    has_same_logs = [log["hash"] for log in card["logs"]] == [drive.log_hash for drive in drives]
-    return has_same_logs and (card["vehicle_hash"], card["seed"]) == (f"sha256:{vehicle.hash}", seed)
+    return has_same_logs(card, drives) and (card["vehicle_hash"], card["seed"]) == (f"sha256:{vehicle.hash}", seed)
 
 
 def _fit_and_write(
     out: Path, spec: VehicleSpec, drives: Sequence[Drive], seed: int
 ) -> Generator[Event, None, FitAndSplit]:
     """Write the model folder; its calibration logs are analysed later."""
-    began = time.monotonic()
-    split = yield from split_drives_for_fit(drives, seed)
-    for text in describe_accel_offsets(drives, spec):
-        yield Event("warning", text)
-    with CompiledProcess() as worker:
-        fitted = yield from fit_calibration(worker, split, spec)
-    seconds = time.monotonic() - began
-    write_calibrated_model(out, spec, fitted, split, build_card(drives, split, spec, fitted, seed, seconds))
+    split = yield from split_drives_for_fit(drives, spec, seed)
+    fitted = yield from calibrate_into(out, spec, drives, split, seed)
     return fitted, split
 
 
@@ -102,9 +91,10 @@ def draw_figures(folder: Path, fitted: CalibrationFit, split: DriveSplit) -> lis
         ChannelFit,
         ChannelTrace,
         ErrorGrowth,
-        write_channels,
-        write_growth,
+        draw_channels,
+        draw_growth,
     )
+    from tunefree_hil.figures.style import save
     from tunefree_hil.learn.physics.windows import TARGETS
 
     channels = [
@@ -112,7 +102,7 @@ def draw_figures(folder: Path, fitted: CalibrationFit, split: DriveSplit) -> lis
         for name, fit in fitted.actuators.items()
     ]
     part = "held-out parts" if split.held_out else "the logs"
-    paths = [write_channels(folder / "actuators.png", channels, f"By-wire actuators on {part}")]
+    paths = [save(draw_channels(channels, f"By-wire actuators on {part}"), folder / "actuators.png")]
     evaluation = fitted.evaluation
     if evaluation is not None:
         growth = ErrorGrowth(
@@ -122,5 +112,5 @@ def draw_figures(folder: Path, fitted: CalibrationFit, split: DriveSplit) -> lis
             evaluation.n_windows,
         )
         title = f"Free runs on {evaluation.n_windows} held-out windows (RMS), recorded actuator outputs in"
-        paths.append(write_growth(folder / "free_run.png", growth, title))
+        paths.append(save(draw_growth(growth, title), folder / "free_run.png"))
     return paths

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.learn.report_text import describe_channel, describe_constants
-from tunefree_hil.jobs.progress import left_s, relay_events
+from tunefree_hil.jobs.progress import count_data, relay_events
 from tunefree_hil.jobs.run_folder import library_versions
 from tunefree_hil.learn.actuators import identify
 from tunefree_hil.learn.actuators.identify import collect_channel, model_channels, restrict_to_motion
@@ -25,6 +25,7 @@ from tunefree_hil.learn.data_sheet import (
     read_channel_sheet,
 )
 from tunefree_hil.learn.drives.drive import Drive, DrivePart, DriveSplit
+from tunefree_hil.learn.drives.road_slope import describe_accel_offsets
 from tunefree_hil.learn.drives.smoothing import estimate_noise_table, estimate_valid_region
 from tunefree_hil.learn.drives.split import split_drives
 from tunefree_hil.learn.drives.validity import drop_incomplete_drives
@@ -33,7 +34,7 @@ from tunefree_hil.learn.evaluation import plot_data
 from tunefree_hil.learn.evaluation.plot_data import ConstantComparison
 from tunefree_hil.learn.model_folder import CARD_FILE, ModelContent, write_model
 from tunefree_hil.learn.physics.fit import PhysicsFit, fit_physics, is_significant
-from tunefree_hil.learn.physics.unknowns import FITTED_EFFECTS, NO_IMPROVEMENT
+from tunefree_hil.learn.physics.unknowns import FITTED_EFFECTS
 from tunefree_hil.learn.physics.windows import OutputCorrection, WindowSet, extract_windows
 
 if TYPE_CHECKING:
@@ -48,30 +49,35 @@ WINDOWS_S, MIN_WINDOWS = (8.0, 5.0, 3.0), 12  # lengths of free runs, the longes
 
 
 class CalibrationFit(NamedTuple):
-    """Result of a calibration. traces: by channel, for the figure."""
+    """Result of a calibration. traces: by channel, for the figure. seconds: duration of the fit."""
 
     actuators: dict[str, ActuatorFit]
     traces: dict[str, list[Any]]
     physics: PhysicsFit
     evaluation: ConstantComparison | None
+    seconds: float
 
 
-def split_drives_for_fit(drives: Sequence[Drive], seed: int) -> Generator[Event, None, DriveSplit]:
+def split_drives_for_fit(
+    drives: Sequence[Drive], vehicle: VehicleSpec, seed: int
+) -> Generator[Event, None, DriveSplit]:
     """Split drives into training and held-out parts; where they are too short, everything is training.
 
-    A drive without a channel that other drives have is left out, as it would count as a channel at rest.
+    A drive without a channel that other drives have is left out, as it would count as a channel at rest. Warns of
+    drives whose measured acceleration has an offset.
     """
-    drives, omissions = drop_incomplete_drives(drives)
+    complete, omissions = drop_incomplete_drives(drives)
     yield from (Event("warning", text) for text in omissions)
     try:
-        split = split_drives(drives, seed=seed)
+        split = split_drives(complete, seed=seed)
     except InputError as error:
         if error.code != "too_short":
             raise
-        parts = tuple(DrivePart(drive, 0, drive.n_rows) for drive in drives)
+        parts = tuple(DrivePart(drive, 0, drive.n_rows) for drive in complete)
         split = DriveSplit(parts, (), "nothing held out: the logs are too short; errors are those of the fit itself")
         yield Event("warning", split.description)
     yield Event("note", split.description)
+    yield from (Event("warning", text) for text in describe_accel_offsets(drives, vehicle))
     return split
 
 
@@ -79,6 +85,7 @@ def fit_calibration(
     worker: CompiledProcess, split: DriveSplit, vehicle: VehicleSpec
 ) -> Generator[Event, None, CalibrationFit]:
     """Fit all channels, then the physical constants, in another process."""
+    began = time.monotonic()
     actuators: dict[str, ActuatorFit] = {}
     traces: dict[str, list[Any]] = {}
     laws: dict[str, MotionLaw] = {}
@@ -101,23 +108,21 @@ def fit_calibration(
     brake_range = max(vehicle.limits.brake_frac - vehicle.nominal.rest_pedal_frac, 0.05)
     steps = worker.call(fit_physics, windows, fixed, priors, brake_range)
     physics = yield from _report_progress(steps, "physical constants")
-    for text in (*physics.notes, *describe_constants(physics)):
-        yield Event("note", text)
+    yield from (Event("note", text) for text in (*physics.notes, *describe_constants(physics)))
     yield from _list_unidentified(physics.estimates)
-    evaluation = _evaluate_fit(
-        worker, held_out_windows, physics, fixed | {name: prior.value for name, prior in priors.items()}
-    )
-    return CalibrationFit(actuators, traces, physics, evaluation)
+    before = fixed | {name: prior.value for name, prior in priors.items()}
+    evaluation = _evaluate_fit(worker, held_out_windows, physics, before)
+    return CalibrationFit(actuators, traces, physics, evaluation, time.monotonic() - began)
 
 
 def _list_unidentified(values: Mapping[str, Estimate]) -> Iterator[Event]:
     """Report the constants that these logs do not identify, and why; those that the model does not need in one line."""
-    reasons = {name: value.why for name, value in values.items() if not value.known}
-    if unneeded := [name for name, why in reasons.items() if why == NO_IMPROVEMENT]:
+    unknown = {name: value for name, value in values.items() if not value.known}
+    if unneeded := [name for name, value in unknown.items() if not value.is_needed]:
         yield Event("note", f"not needed to reproduce these logs: {', '.join(unneeded)}")
-    for name, why in reasons.items():
-        if why != NO_IMPROVEMENT and name not in FITTED_EFFECTS:
-            yield Event("warning", f"{name}: {why}")
+    for name, value in unknown.items():
+        if value.is_needed and name not in FITTED_EFFECTS:
+            yield Event("warning", f"{name}: {value.why}")
 
 
 def choose_windows(
@@ -136,9 +141,7 @@ def _report_progress(steps: Generator[tuple[float, float], None, Any], label: st
     began = time.monotonic()
 
     def event_of(step: tuple[float, float]) -> Event:
-        done, total = step
-        eta_s = left_s(began, done / total)
-        return Event("progress", "", {"label": label, "done": done, "total": total, "eta_s": eta_s})
+        return Event("progress", "", count_data(label, *step, began))
 
     return relay_events(steps, event_of)
 
@@ -181,8 +184,18 @@ def _evaluate_fit(
     return worker.wait_for_result(plot_data.compare_constants, held_out.windows, (before, OutputCorrection()), after)
 
 
+def calibrate_into(
+    out: Path, vehicle: VehicleSpec, drives: Sequence[Drive], split: DriveSplit, seed: int
+) -> Generator[Event, None, CalibrationFit]:
+    """Fit the drives and write the model folder; seed: of the split."""
+    with CompiledProcess() as worker:
+        fitted = yield from fit_calibration(worker, split, vehicle)
+    write_calibrated_model(out, vehicle, fitted, split, build_card(drives, split, vehicle, fitted, seed))
+    return fitted
+
+
 def build_card(
-    drives: Sequence[Drive], split: DriveSplit, vehicle: VehicleSpec, fitted: CalibrationFit, seed: int, seconds: float
+    drives: Sequence[Drive], split: DriveSplit, vehicle: VehicleSpec, fitted: CalibrationFit, seed: int
 ) -> dict[str, Any]:
     """Content of card.json: the data of the model and its errors."""
     evaluation = fitted.evaluation
@@ -197,7 +210,7 @@ def build_card(
         "seed": seed,
         "split": split.description,
         "versions": library_versions(LIBRARIES),
-        "seconds": round(seconds, 1),
+        "seconds": round(fitted.seconds, 1),
         "actuators": {name: _channel_fields(fit) for name, fit in fitted.actuators.items()},
         "constants": data_from_estimates(fitted.physics.estimates),
         "constants_together": fitted.physics.correlation,
@@ -212,6 +225,11 @@ def build_card(
             "held_out": {"data_sheet": evaluation.before, "fitted": evaluation.after} if evaluation else None,
         },
     }
+
+
+def has_same_logs(card: Mapping[str, Any], drives: Sequence[Drive]) -> bool:
+    """Whether a card is of these logs, in this order."""
+    return [log["hash"] for log in card.get("logs", [])] == [drive.log_hash for drive in drives]
 
 
 def read_calibration_card(folder: Path) -> dict[str, Any]:

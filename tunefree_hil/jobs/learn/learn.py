@@ -17,9 +17,7 @@ from tunefree_hil.jobs.learn.logs import read_logs
 from tunefree_hil.jobs.learn.options import LearnOptions
 from tunefree_hil.jobs.preconditions import require_model_of_vehicle, require_number
 from tunefree_hil.jobs.progress import relay_events
-from tunefree_hil.learn.compiled_process import CompiledProcess
 from tunefree_hil.learn.drives.drive import Drive, DriveSplit
-from tunefree_hil.learn.drives.road_slope import describe_accel_offsets
 from tunefree_hil.learn.evaluation.free_run import FreeRunErrors
 from tunefree_hil.learn.evaluation.motion import MotionTrack, make_motion_tracks
 from tunefree_hil.learn.model_folder import (
@@ -95,9 +93,7 @@ def _prepare_data(
 ) -> Generator[Event, None, tuple[ModelSpec, LearningData]]:
     """Read and split the logs, and obtain the physics. Returns: the calibrated model, and the data."""
     drives = yield from read_logs(options.logs, vehicle, tolerated=calibration.SHORT_STEERING)
-    split = yield from calibration.split_drives_for_fit(drives, options.seed)
-    for text in describe_accel_offsets(drives, vehicle):
-        yield Event("warning", text)
+    split = yield from calibration.split_drives_for_fit(drives, vehicle, options.seed)
     physics = yield from obtain_physics(options, vehicle, drives, split)
     road_share = read_road_share(Path(physics.folder), drives)
     tracks = [_make_tracks(parts, vehicle, road_share) for parts in (split.training, split.held_out)]
@@ -152,11 +148,7 @@ def obtain_physics(
     folder = options.physics or options.out.with_name(options.out.name + "-physics")
     if options.physics is None and not _is_calibrated_on(folder, drives, options.seed):
         require_new_folder(folder)
-        began = time.monotonic()
-        with CompiledProcess() as worker:
-            fitted = yield from calibration.fit_calibration(worker, split, vehicle)
-        card = calibration.build_card(drives, split, vehicle, fitted, options.seed, time.monotonic() - began)
-        calibration.write_calibrated_model(folder, vehicle, fitted, split, card)
+        yield from calibration.calibrate_into(folder, vehicle, drives, split, options.seed)
     if options.physics is None and not is_analysed(folder):
         yield from analyse_calibration_logs(folder, vehicle, drives)
     yield Event("note", f"physics: {folder}")
@@ -186,8 +178,7 @@ def _is_calibrated_on(folder: Path, drives: list[Drive], seed: int | None) -> bo
     if not (folder / CARD_FILE).is_file():
         return False
     card = read_card(folder / CARD_FILE)
-    has_same_logs = [log["hash"] for log in card.get("logs", [])] == [drive.log_hash for drive in drives]
-    return has_same_logs and seed in (None, card.get("seed"))
+    return calibration.has_same_logs(card, drives) and seed in (None, card.get("seed"))
 
 
 def read_road_share(folder: Path, drives: list[Drive]) -> float:
@@ -216,13 +207,13 @@ def _train(
     options: LearnOptions, physics: ModelSpec, data: LearningData
 ) -> Generator[Event, None, tuple[TrainingResult, TrainingPlan]]:
     """Train, with progress events."""
-    from tunefree_hil.learn.training.fit import train_plant
+    from tunefree_hil.learn.training.fit import TrackSplit, train_plant
     from tunefree_hil.learn.training.learners import TrainingPlan
 
     minutes = options.minutes or 0.0
     plan = TrainingPlan(options.kind, options.seed, sample_spacing_s=options.sample_spacing_s, minutes=minutes)
     checkpoint, rest_frac = _checkpoint_path(options), data.vehicle.nominal.rest_pedal_frac
-    steps = train_plant(plan, data.training, data.held_out, physics, rest_frac, checkpoint)
+    steps = train_plant(plan, TrackSplit(data.training, data.held_out), physics, rest_frac, checkpoint)
     resume = build_command(options)
 
     def event_of(step: TrainingProgress) -> Event:
@@ -276,11 +267,12 @@ def _evaluate(learned: LearnedModel, data: LearningData) -> Generator[Event, Non
 
 
 def _draw_figures(options: LearnOptions, card: Mapping[str, Any]) -> list[str]:
-    from tunefree_hil.figures.learning.training import write_free_run
+    from tunefree_hil.figures.learning.training import draw_free_run
+    from tunefree_hil.figures.style import save
 
     if not card["free_run"]:
         return []
-    return [str(write_free_run(options.out / "figures" / "free_run.png", card["free_run"]))]
+    return [str(save(draw_free_run(card["free_run"]), options.out / "figures" / "free_run.png"))]
 
 
 def _summarise_result(options: LearnOptions, card: Mapping[str, Any]) -> dict[str, Any]:

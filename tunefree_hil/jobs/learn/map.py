@@ -8,6 +8,8 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
@@ -15,7 +17,7 @@ from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.jobs.learn.logs import read_logs
 from tunefree_hil.jobs.learn.options import MapOptions
 from tunefree_hil.jobs.preconditions import require_model_of_vehicle
-from tunefree_hil.jobs.progress import left_s, relay_events
+from tunefree_hil.jobs.progress import count_data, relay_events
 from tunefree_hil.learn.drives.drive import Drive
 from tunefree_hil.learn.open_loop_map.build import GatheredSamples, LearnedMap, MapProgress, gather_samples, learn_map
 from tunefree_hil.learn.open_loop_map.cells import compute_cell_errors, compute_rms
@@ -46,8 +48,7 @@ def map_logs(options: MapOptions) -> Iterator[Event]:
     target = resolve_target(options.out, vehicle)
     drives = yield from read_logs(options.logs, vehicle)
     gathered = gather_samples(drives, vehicle)
-    for note in gathered.notes:
-        yield Event("note", note)
+    yield from (Event("note", note) for note in gathered.notes)
     for delay in gathered.delays.values():
         if not delay.is_identified:
             yield Event("warning", delay.note)
@@ -89,8 +90,7 @@ def learn_map_with_progress(
     began = time.monotonic()
 
     def event_of(step: MapProgress) -> Event:
-        eta_s = left_s(began, step.done / step.total)
-        return Event("progress", step.message, {"label": "net", "done": step.done, "total": step.total, "eta_s": eta_s})
+        return Event("progress", step.message, count_data("net", step.done, step.total, began))
 
     return relay_events(learn_map(gathered.samples, vehicle, seed), event_of)
 
@@ -147,23 +147,18 @@ def _replaced_map_error(target: Path, learned: LearnedMap) -> float | None:
     errors = [
         compute_cell_errors(law_from_calibration(before, pedal), learned.selections[pedal].points) for pedal in PEDALS
     ]
-    return compute_rms(_concatenate(errors))
-
-
-def _concatenate(errors: Sequence[Any]) -> Any:
-    import numpy as np
-
-    return np.concatenate(errors)
+    return compute_rms(np.concatenate(errors))
 
 
 def draw_figures(learned: LearnedMap, gathered: GatheredSamples, target: Path) -> list[str]:
     """Draw the samples (Fig. 4a of the paper) and the map (Fig. 4b), beside the file."""
-    from tunefree_hil.figures.learning.map import write_map, write_map_data
+    from tunefree_hil.figures.learning.map import draw_map, draw_map_data
+    from tunefree_hil.figures.style import save
 
     picture = make_picture(learned, gathered)
     stem = target.with_suffix("")
-    data = write_map_data(stem.with_name(f"{stem.name}_data.png"), picture)
-    result = write_map(stem.with_name(f"{stem.name}_map.png"), picture)
+    data = save(draw_map_data(picture), stem.with_name(f"{stem.name}_data.png"))
+    result = save(draw_map(picture), stem.with_name(f"{stem.name}_map.png"))
     return [str(data), str(result)]
 
 

@@ -21,11 +21,20 @@ from tunefree_hil.bench.load import Bench, model_of
 from tunefree_hil.bench.simulator import Job
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_weights
-from tunefree_hil.config.schema import BenchSpec, ModelSpec, ProfileSpec, ScenarioSpec, StartSpec, VehicleSpec
+from tunefree_hil.config.schema import (
+    BenchSpec,
+    ControllerSpec,
+    ModelSpec,
+    ProfileSpec,
+    ScenarioSpec,
+    StartSpec,
+    VehicleSpec,
+)
 from tunefree_hil.episode.feasible import limits_of
 from tunefree_hil.episode.recording import Recording
 from tunefree_hil.learn.drives.drive import Drive
 
+LATERAL = "lqr_preview"  # keeps to the turns with a data sheet's map too, by its integral
 # Field of a drive -> column of a recording
 FIELDS = {
     "report.steer_rad": "out_steer_rad",
@@ -89,7 +98,12 @@ def make_turn_bench(model: ModelSpec, vehicle: VehicleSpec) -> Bench:
     """A bench of the model, whose scenarios are the turns."""
     scenarios = {scenario.name: scenario for scenario in make_turns(model, vehicle)}
     spec = BenchSpec(
-        schema="tunefree.bench/1", vehicle=vehicle.folder, model=model.folder, scenarios=list(scenarios), path=""
+        schema="tunefree.bench/1",
+        vehicle=vehicle.folder,
+        model=model.folder,
+        scenarios=list(scenarios),
+        controller=ControllerSpec(lateral=LATERAL),
+        path="",
     )
     return Bench(spec, vehicle, Codec(vehicle), load_weights(spec.weights), scenarios, vehicle.tick_ms * 1e-3)
 
@@ -98,12 +112,14 @@ def make_turns(model: ModelSpec, vehicle: VehicleSpec) -> Iterator[ScenarioSpec]
     """A turn to both sides at each speed, within the model's valid region and the vehicle's limits."""
     limits = limits_of(vehicle)
     top_mps = CRITERIA.max_speed_share * min(_reach(model.valid.speed_mps), limits.speed_mps)
-    lateral_mps2 = CRITERIA.max_lateral_share * min(_reach(model.valid.lateral_accel_mps2), limits.lateral_accel_mps2)
     tightest_1pm = min(CRITERIA.max_curvature_share * limits.curvature_1pm, CRITERIA.max_curvature_1pm)
     ratio, length_m = vehicle.nominal.steer_ratio or 1.0, vehicle.nominal.wheelbase_m or 1.0
     wheel_rad = CRITERIA.max_curvature_share * min(_reach(model.valid.steer_rad), vehicle.limits.steer_rad)
     for speed_mps in np.linspace(CRITERIA.low_mps, max(top_mps, CRITERIA.low_mps), CRITERIA.speeds):
         reached_m = length_m + CRITERIA.understeer_s2pm * speed_mps * speed_mps
+        # The controller's bound on the wheel is that of the limit without understeer (control/limits.py).
+        bound_mps2 = limits.lateral_accel_mps2 * length_m / reached_m
+        lateral_mps2 = CRITERIA.max_lateral_share * min(_reach(model.valid.lateral_accel_mps2), bound_mps2)
         curvature = min(tightest_1pm, lateral_mps2 / speed_mps**2, wheel_rad / ratio / reached_m)
         rate = min(CRITERIA.yaw_accel_radps2 / speed_mps, CRITERIA.wheel_rate_radps / ratio / reached_m)
         yield _make_turn(float(speed_mps), float(curvature), float(rate))

@@ -74,13 +74,9 @@ def _select_channels(log: LogFile, whole: Survey, channels: Sequence[str]) -> Su
     """Survey of the rows of some channels. Raises InputError for an unknown channel."""
     for channel in channels:
         if channel not in whole.channels:
-            raise InputError(
-                f"the log has no channel {channel!r}",
-                code="no_channel",
-                file=str(log.path),
-                key="--channel",
-                hint=f"its channels are {', '.join(sorted(whole.channels))}",
-            )
+            message = f"the log has no channel {channel!r}"
+            hint = f"its channels are {', '.join(sorted(whole.channels))}"
+            raise InputError(message, code="no_channel", file=str(log.path), key="--channel", hint=hint)
     if not channels or whole.channels.keys() <= set(channels):
         return whole
     return survey(row for row in log.rows() if row.channel in channels)
@@ -113,9 +109,6 @@ def _require_frames(name: str, log: LogFile, selected: Survey, losses: Sequence[
     """Raise InputError where no frame is left."""
     if left_out < selected.frames:
         return
-    raise InputError(
-        f"{name} can store none of the {selected.frames} frames: {'; '.join(map(str, losses))}",
-        code="nothing_left",
-        file=str(log.path),
-        hint="choose another format: candump, blf and csv store every frame",
-    )
+    message = f"{name} can store none of the {selected.frames} frames: {'; '.join(map(str, losses))}"
+    hint = "choose another format: candump, blf and csv store every frame"
+    raise InputError(message, code="nothing_left", file=str(log.path), hint=hint)

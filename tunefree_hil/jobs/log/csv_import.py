@@ -101,13 +101,9 @@ def _require_encodable(drive: CsvDrive, path: Path) -> None:
     for name, column in drive.columns.items():
         values = column.values[column.sent]
         if values.size and float(np.abs(values).max()) > HIGHEST:
-            raise InputError(
-                f"{name} reaches {np.abs(values).max():g}, above the limit {HIGHEST:g} of the synthetic DBC",
-                code="beyond",
-                file=str(path),
-                key=column.spec.column,
-                hint="add an offset that brings the values near 0",
-            )
+            message = f"{name} reaches {np.abs(values).max():g}, above the limit {HIGHEST:g} of the synthetic DBC"
+            hint = "add an offset that brings the values near 0"
+            raise InputError(message, code="beyond", file=str(path), key=column.spec.column, hint=hint)
 
 
 def _record(

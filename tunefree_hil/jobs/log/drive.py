@@ -42,14 +42,7 @@ class LogDrive(NamedTuple):
 
 
 def read_log_drive(
-    frames: Sequence[LogFrame],
-    codec: Codec,
-    vehicle: GradeVehicle,
-    reference: ReferencePath,
-    *,
-    align: AlignMode,
-    start_s: float | None,
-    folder: Path,
+    reader: LogColumns, vehicle: GradeVehicle, reference: ReferencePath, *, align: AlignMode, start_s: float | None
 ) -> LogDrive:
     """Read the part of a log in which `reference` is driven.
 
@@ -57,9 +50,7 @@ def read_log_drive(
 
     Args:
         start_s: Start given by the user, in seconds from the first frame; None to find it.
-        folder: Folder of the log.
     """
-    reader = _ColumnReader(frames, codec, folder)
     whole = reader.read(make_silent_follower(), 0, 0)
     notes = [reader.times.words] if reader.times.late_ticks else []
     if whole.columns.keys() >= POSITION:
@@ -76,8 +67,8 @@ def read_log_drive(
     return LogDrive(drive, reference.course, notes, reader.span_s(row, ticks))
 
 
-class _ColumnReader:
-    """Reads parts of a log as columns."""
+class LogColumns:
+    """Reads parts of a log as columns. folder: of the log."""
 
     def __init__(self, frames: Sequence[LogFrame], codec: Codec, folder: Path) -> None:
         self._frames, self._codec = frames, codec
@@ -89,16 +80,9 @@ class _ColumnReader:
 
     def read(self, follower: Block, row: int, ticks: int) -> Recording:
         """Columns of `ticks` rows from `row` on; 0 ticks: all."""
-        return columns_from_frames(
-            self._frames,
-            self._codec,
-            follower,
-            self._dt_s,
-            ticks=ticks,
-            zero_s=self.times.zero_s + row * self._dt_s,
-            late_ticks=self.times.late_ticks,
-            by_channel=self._by_channel,
-        )
+        zero_s, late_ticks = self.times.zero_s + row * self._dt_s, self.times.late_ticks
+        part = {"ticks": ticks, "zero_s": zero_s, "late_ticks": late_ticks, "by_channel": self._by_channel}
+        return columns_from_frames(self._frames, self._codec, follower, self._dt_s, **part)
 
     def span_s(self, row: int, ticks: int) -> tuple[float, float]:
         """First and last time stamp of some rows."""
@@ -142,7 +126,7 @@ def manual_driving_s(frames: Sequence[LogFrame], codec: Codec, span_s: tuple[flo
             messages[key] = decoded_by if decoded_by in telemetry else None
         message = messages[key]
         enables = [state for state in message.states if state.condition == "enabled"] if message is not None else []
-        if message is None or not enables or not codec.fits(message, frame.data):
+        if message is None or not enables or not message.fits(frame.data):
             continue
         if any(off.values()):
             total_s += max(0.0, min(frame.time_s, span_s[1]) - max(before_s, span_s[0]))
@@ -158,7 +142,7 @@ def read_extras(folder: Path) -> DriveExtras:
     if timing.is_file():
         with np.load(timing, allow_pickle=False) as data:
             control_time_s = data.get("controller_control_time_s")
-    if control_time_s is not None and len(control_time_s) == 0:
+    if control_time_s is not None and not len(control_time_s):
         control_time_s = None
     error = str(read_json(summary).get("error", "")) if summary.is_file() else None
     return DriveExtras(control_time_s, error)
@@ -168,12 +152,8 @@ def _count_ticks(whole: Recording, row: int, course: Course) -> int:
     """Number of rows to the end of the plan or of the log. Raises InputError for a start outside the log."""
     ticks = min(course.ticks, whole.ticks - row)
     if row < 0 or ticks < 1:
-        raise InputError(
-            f"the start at {row * whole.dt_s:.1f} s is outside the log of {whole.ticks * whole.dt_s:.1f} s",
-            code="bad_start",
-            key="--start-s",
-            hint="give seconds from the log's first frame",
-        )
+        message = f"the start at {row * whole.dt_s:.1f} s is outside the log of {whole.ticks * whole.dt_s:.1f} s"
+        raise InputError(message, code="bad_start", key="--start-s", hint="give seconds from the log's first frame")
     return ticks
 
 

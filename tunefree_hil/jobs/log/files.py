@@ -110,11 +110,7 @@ def _bench_above(path: Path) -> Path:
     benches = [folder / "bench.toml" for folder in path.resolve().parents]
     near = next((file for file in benches if file.is_file()), None)
     if near is None:
-        raise InputError(
-            "the log is not in a run folder, so its vehicle is not known",
-            code="which_vehicle",
-            key="--vehicle",
-            file=str(path),
-            hint="name the vehicle: --vehicle mkz_bywire, or --vehicle path/to/folder",
-        )
+        message = "the log is not in a run folder, so its vehicle is not known"
+        hint = "name the vehicle: --vehicle mkz_bywire, or --vehicle path/to/folder"
+        raise InputError(message, code="which_vehicle", key="--vehicle", file=str(path), hint=hint)
     return near

@@ -13,10 +13,10 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.episode.candump import LogFrame
 from tunefree_hil.jobs.log.files import codec_for_log, describe_cut, has_vehicle_channels, open_log
-from tunefree_hil.jobs.log.show import find_message, known_names, require_known_signal
+from tunefree_hil.jobs.log.show import field_names, find_message, full_names, known_names, require_known_signal
 
 if TYPE_CHECKING:
-    from tunefree_hil.bus.dbc.codec import Codec, MessageMap
+    from tunefree_hil.bus.dbc.codec import Codec
 
 GAP_PERIODS, GAP_S = 3.0, 0.05  # a line is interrupted at a gap of three periods, at least 50 ms
 # suffix of a record field's name -> unit
@@ -33,7 +33,8 @@ UNITS = {
 
 def plot(path: Path, vehicle: str | None, signals: Sequence[str], out: Path | None) -> Iterator[Event]:
     """Write a PNG (default: beside the log) of record fields ('report.speed_mps') or signals ('MESSAGE.SIGNAL')."""
-    from tunefree_hil.figures.signals import Series, write_signals
+    from tunefree_hil.figures.signals import Series, draw_signals
+    from tunefree_hil.figures.style import save
 
     codec, where = codec_for_log(path, vehicle)
     wanted = [chosen for name in signals for chosen in resolve_signals(name, codec)]
@@ -52,7 +53,7 @@ def plot(path: Path, vehicle: str | None, signals: Sequence[str], out: Path | No
         yield Event("warning", f"{name} does not occur in this log")
     if len(silent) == len(series):
         raise InputError("none of the signals occurs in this log", code="never_heard", file=str(path), key="SIGNALS")
-    target = write_signals(out or path.with_suffix(".png"), f"{path.name}: {codec.name}", series)
+    target = save(draw_signals(f"{path.name}: {codec.name}", series), out or path.with_suffix(".png"))
     data = {"figure": str(target), "values": {one.name: int(one.values.size) for one in series}, "vehicle": where}
     yield Event("result", "", {**data, "sentence": f"{len(series) - len(silent)} signals drawn in {target}"})
 
@@ -60,10 +61,8 @@ def plot(path: Path, vehicle: str | None, signals: Sequence[str], out: Path | No
 def resolve_signals(name: str, codec: Codec) -> list[str]:
     """Full names (GROUP.FIELD or MESSAGE.SIGNAL) for a name. Raises InputError with the nearest known name."""
     require_known_signal(name, known_names(codec), codec.name)
-    messages = list(codec.by_name.values())
-    full = [f"{field.group}.{field.name}" for message in messages for field in message.fields]
-    full += [f"{message.name}.{signal}" for message in messages for signal in message.signals]
-    return sorted({known for known in full if known == name or known.partition(".")[2] == name})
+    full = {known for message in codec.by_name.values() for known in full_names(message)}
+    return sorted(known for known in full if name in (known, known.partition(".")[2]))
 
 
 def collect_series(
@@ -74,11 +73,11 @@ def collect_series(
     by_channel: the log has the vehicle's channel names (files.has_vehicle_channels).
     """
     rows = {name: (array("d"), array("d")) for name in wanted}
-    fields = {message.name: _values_of(message) for message in codec.by_name.values()}
-    bearing = {message.name for message in codec.by_name.values() if _names_of(message) & rows.keys()}
+    fields = {message.name: field_names(message) for message in codec.by_name.values()}
+    bearing = {message.name for message in codec.by_name.values() if full_names(message) & rows.keys()}
     for frame in frames:
         message = find_message(frame, codec, by_channel)
-        if message is None or message.name not in bearing or not codec.fits(message, frame.data):
+        if message is None or message.name not in bearing or not message.fits(frame.data):
             continue
         decoded = codec.decode(message, frame.data)
         values = {f"{message.name}.{name}": value for name, value in decoded.items()}
@@ -88,14 +87,6 @@ def collect_series(
             rows[name][0].append(frame.time_s)
             rows[name][1].append(values[name])
     return {name: (np.array(times), np.array(values)) for name, (times, values) in rows.items()}
-
-
-def _names_of(message: MessageMap) -> set[str]:
-    return {f"{message.name}.{name}" for name in message.signals} | set(_values_of(message).values())
-
-
-def _values_of(message: MessageMap) -> dict[tuple[str, int], str]:
-    return {(field.group, field.index): f"{field.group}.{field.name}" for field in message.fields}
 
 
 def signal_unit(name: str, units: Mapping[str, str]) -> str:
@@ -117,9 +108,6 @@ def dbc_units(folder: str) -> dict[str, str]:
 
 def _gap_s(name: str, codec: Codec) -> float:
     """Gap at which the line of a signal is interrupted."""
-    source = next(
-        message
-        for message in codec.by_name.values()
-        if name.startswith(f"{message.name}.") or name in _values_of(message).values()
-    )
+    messages = codec.by_name.values()
+    source = next(one for one in messages if name.startswith(f"{one.name}.") or name in field_names(one).values())
     return max(GAP_S, GAP_PERIODS * source.period_ticks * codec.tick_ms / 1000.0)

@@ -51,13 +51,20 @@ def find_message(frame: LogFrame, codec: Codec, by_channel: bool) -> MessageMap 
     return codec.find(can_frame, frame.channel if by_channel else "")
 
 
+def field_names(message: MessageMap) -> dict[tuple[str, int], str]:
+    """GROUP.FIELD of the record fields in a message, by group and index in the record."""
+    return {(field.group, field.index): f"{field.group}.{field.name}" for field in message.fields}
+
+
+def full_names(message: MessageMap) -> set[str]:
+    """MESSAGE.SIGNAL and GROUP.FIELD of a message."""
+    return {f"{message.name}.{name}" for name in message.signals} | set(field_names(message).values())
+
+
 def known_names(codec: Codec) -> set[str]:
-    """Signals, MESSAGE.SIGNAL, and record fields with and without their group."""
-    messages = codec.by_name.values()
-    names = {name for message in messages for name in message.signals}
-    names |= {f"{message.name}.{name}" for message in messages for name in message.signals}
-    fields = [field for message in messages for field in message.fields]
-    return names | {field.name for field in fields} | {f"{field.group}.{field.name}" for field in fields}
+    """Signals and record fields, with and without their message or group."""
+    full = {name for message in codec.by_name.values() for name in full_names(message)}
+    return full | {name.partition(".")[2] for name in full}
 
 
 def require_known_signal(name: str, known: set[str], vehicle: str) -> None:
@@ -70,12 +77,12 @@ def require_known_signal(name: str, known: set[str], vehicle: str) -> None:
 
 def _decoded(frame: LogFrame, message: MessageMap | None, codec: Codec, wanted: Sequence[str]) -> str:
     """Text such as 'PO=0.15 report.throttle_frac=0.15', or '' where the frame has no wanted signal."""
-    if message is None or not codec.fits(message, frame.data):
+    if message is None or not message.fits(frame.data):
         return "" if wanted else frame.data.hex().upper() or "-"
     decoded = codec.decode(message, frame.data)
     pairs = list(decoded.items())
-    names = {(field.group, field.index): field.name for field in message.fields}
-    pairs += [(f"{group}.{names[group, index]}", value) for group, index, value in codec.values(message, decoded)]
+    names = field_names(message)
+    pairs += [(names[group, index], value) for group, index, value in codec.values(message, decoded)]
     if wanted:
         prefix = f"{message.name}."
         pairs = [

@@ -32,60 +32,44 @@ class EpisodeResult(NamedTuple):
     error_code: int = 0
 
 
-def read_episode(
-    bench: Bench,
-    scenario: ScenarioSpec,
-    values: Mapping[str, float],
-    outcome: Outcome,
-    folder: Path,
-    *,
-    seed: int = 0,
-    realtime: bool = False,
-) -> EpisodeResult:
-    """Read `folder/vehicle.log`, write columns.npz and episode.json beside it."""
-    frames = read_candump(folder / "vehicle.log")
-    codec = bench.codec
+class DrivenEpisode(NamedTuple):
+    """A drive whose logs are in `folder`: what was driven, and how it ended."""
+
+    scenario: ScenarioSpec
+    values: Mapping[str, float]
+    outcome: Outcome
+    folder: Path
+    seed: int = 0
+    realtime: bool = False
+
+
+def read_episode(bench: Bench, driven: DrivenEpisode) -> EpisodeResult:
+    """Read `vehicle.log` of a drive, and write columns.npz and episode.json beside it."""
+    scenario, values, outcome, folder, _, realtime = driven
     zero_s = run_zero_s(folder / "bench.log") if realtime else 0.0
-    placed = place_vehicle(frames, codec, bench.dt_s, zero_s)
+    placed = place_vehicle(read_candump(folder / "vehicle.log"), bench.codec, bench.dt_s, zero_s)
     hashed = hash_of(placed)
+    follower, late_ticks = follower_of(bench, scenario, values), 1 if realtime else 0
     recording = columns_from_placed(
-        placed,
-        codec,
-        follower_of(bench, scenario, values),
-        bench.dt_s,
-        ticks=outcome.ticks,
-        late_ticks=1 if realtime else 0,
+        placed, bench.codec, follower, bench.dt_s, ticks=outcome.ticks, late_ticks=late_ticks
     )
     save_recording(recording, folder / "columns.npz")
-    graded = grade_drive(
-        recording,
-        bench.course(scenario),
-        bench.weights,
-        grade_vehicle_from_spec(bench.vehicle),
-        scenario=scenario.name,
-        error=outcome.error,
-    )
-    write_json(folder / "episode.json", _summary(scenario, seed, values, outcome, graded, hashed.hex))
+    course, car = bench.course(scenario), grade_vehicle_from_spec(bench.vehicle)
+    graded = grade_drive(recording, course, bench.weights, car, scenario=scenario.name, error=outcome.error)
+    write_json(folder / "episode.json", _summary(driven, graded, hashed.hex))
     return EpisodeResult(recording, graded, hashed.hex, dict(hashed.foreign), outcome.error_code)
 
 
-def _summary(
-    scenario: ScenarioSpec,
-    seed: int,
-    values: Mapping[str, float],
-    outcome: Outcome,
-    graded: ScenarioGrade,
-    sha256: str,
-) -> dict[str, Any]:
+def _summary(driven: DrivenEpisode, graded: ScenarioGrade, sha256: str) -> dict[str, Any]:
     return {
         "schema": "tunefree.episode/1",
-        "scenario": scenario.name,
-        "scenario_hash": scenario.hash,
-        "seed": seed,
-        "parameters": dict(values),
-        "ticks": outcome.ticks,
-        "error": outcome.error,
-        "error_code": outcome.error_code,
+        "scenario": driven.scenario.name,
+        "scenario_hash": driven.scenario.hash,
+        "seed": driven.seed,
+        "parameters": dict(driven.values),
+        "ticks": driven.outcome.ticks,
+        "error": driven.outcome.error,
+        "error_code": driven.outcome.error_code,
         "score": graded.score,
         "metrics": graded.metrics,
         "replans": graded.replans,

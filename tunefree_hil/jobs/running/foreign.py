@@ -8,13 +8,14 @@ import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bench import Bench, part_values
+from tunefree_hil.bench import Bench, is_heavy, part_values
 from tunefree_hil.bus.bench_channel import HELLO_WORDS, Role
 from tunefree_hil.config.schema import with_controller
 from tunefree_hil.control.parameters import NAMES
-from tunefree_hil.jobs.running.session import BenchSession
+from tunefree_hil.jobs.running.session import BenchLaunch, BenchSession
 
 
 def with_controller_command(bench: Bench, text: str) -> Bench:
@@ -36,6 +37,12 @@ def controller_program(bench: Bench) -> list[str] | None:
     File names in the command ('../build/controller') are relative to the bench file.
     """
     return _resolve_paths(bench.spec.controller.command, Path(bench.file).parent) or None
+
+
+def make_launch(bench: Bench, model: str, **more: Any) -> BenchLaunch:
+    """The launch of a bench with this model and the controller of its file; more: other fields of the launch."""
+    command = controller_program(bench)
+    return BenchLaunch(model=model, jitted_ecu=is_heavy(bench, model), controller_command=command, **more)
 
 
 def program_hashes(bench: Bench) -> dict[str, str]:

@@ -7,8 +7,7 @@ from contextlib import contextmanager
 
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bus.dbc.codec import Codec
-from tunefree_hil.bus.link import Owner
-from tunefree_hil.bus.tfhub.owner import ForeignSender
+from tunefree_hil.bus.tfhub.owner import ForeignSender, Owner
 
 ID_MASK = 0x1FFFFFFF
 MAX_NAMED = 5

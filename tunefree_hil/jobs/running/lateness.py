@@ -11,7 +11,7 @@ from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.schema import FaultSpec
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.jobs.run_folder import RunFolder
-from tunefree_hil.jobs.running.trial_driver import ROLES
+from tunefree_hil.jobs.running.episode_results import ROLES
 
 
 class RealTimeCriteria(NamedTuple):
@@ -71,10 +71,11 @@ def _statistics(late_s: np.ndarray) -> dict[str, Any]:
 
 
 def _draw_histogram(run: RunFolder, late_s: Mapping[str, np.ndarray]) -> str:
-    from tunefree_hil.figures.jitter import write_jitter
+    from tunefree_hil.figures.jitter import draw_jitter
+    from tunefree_hil.figures.style import save
 
     rows = {role: list(map(float, values)) for role, values in late_s.items()}
-    return str(write_jitter(run.figures() / "jitter.png", rows, CRITERIA.late_s))
+    return str(save(draw_jitter(rows, CRITERIA.late_s), run.figures() / "jitter.png"))
 
 
 def frame_lateness_s(

@@ -17,6 +17,7 @@ from tunefree_hil.bus.bench_channel import Hello, Role, decode, hello_frames
 from tunefree_hil.bus.link import BusLink, Links
 from tunefree_hil.bus.open import (
     BusChoice,
+    LinkRequest,
     alone_on,
     open_link,
     open_links,
@@ -25,6 +26,7 @@ from tunefree_hil.bus.open import (
     resolve_bus,
 )
 from tunefree_hil.bus.socketcan.link import Options
+from tunefree_hil.jobs.options.nodes import NodeLink
 from tunefree_hil.jobs.running.processes import starter_is_gone
 from tunefree_hil.nodes.exchange import HARD_LIMIT_S, Exchange
 
@@ -48,12 +50,9 @@ def resolve_process_bus(bus: str, session: str, bench_bus: str) -> BusChoice:
         if kind == "socketcan":
             require_virtual_link(name)
         if kind == "virtual":
-            raise InputError(
-                "python-can's virtual bus works inside one process only, and the nodes are separate processes",
-                code="one_process",
-                key="--bus",
-                hint="use --bus tfhub, which needs no kernel support either",
-            )
+            message = "python-can's virtual bus works inside one process only, and the nodes are separate processes"
+            hint = "use --bus tfhub, which needs no kernel support either"
+            raise InputError(message, code="one_process", key="--bus", hint=hint)
     return choice
 
 
@@ -98,14 +97,12 @@ class NodeConnection(NamedTuple):
 
 
 @contextmanager
-def open_exchange(
-    bench: Bench, name: str, bus: str, bench_bus: str, session: str, *, realtime: bool, alone: bool = False
-) -> Iterator[NodeConnection]:
+def open_exchange(bench: Bench, name: str, link: NodeLink, *, alone: bool = False) -> Iterator[NodeConnection]:
     """Connect a node, and close its links at the end.
 
     alone: without bench channel and hub where the vehicle's link is SocketCAN.
     """
-    choice = resolve_vehicle_bus(bench, bus, session, bench_bus)
+    choice, realtime = resolve_vehicle_bus(bench, link.bus, link.session, link.bench_bus), link.realtime
     ids = message_ids(bench)
     options = Options(
         patience_s=send_patience_s(name, bench.dt_s, realtime),
@@ -116,16 +113,15 @@ def open_exchange(
     silent = alone and choice.kind == "socketcan"
 
     def open_both() -> Links:
-        both = sorted(ids[0] | ids[1])
+        request = LinkRequest(name, fd=sends_fd(bench), only=sorted(ids[0] | ids[1]), options=options)
         if silent:
-            return alone_on(open_link(choice, name=name, fd=sends_fd(bench), only=both, options=options))
-        stamps, clock = not realtime, hub_clock(realtime)
-        return open_links(choice, name=name, stamps=stamps, fd=sends_fd(bench), only=both, clock=clock, options=options)
+            return alone_on(open_link(choice, "vehicle", request))
+        return open_links(choice, request._replace(stamps=not realtime, clock=hub_clock(realtime)))
 
     links = open_when_ready(open_both, f"{name}: waiting for a hub")
     sys.setswitchinterval(THREAD_SWITCH_S)
     drops = realtime and choice.kind == "socketcan"
-    exchange = Exchange(links.vehicle, links.bench, ids, bench.dt_s, links.send_both, drops=drops)
+    exchange = Exchange(links, ids, bench.dt_s, drops=drops)
     try:
         if choice.bench_address.startswith("socketcan:") and not silent:
             require_unique_node(links.bench, name)

@@ -81,11 +81,8 @@ class Processes:
                     pass_fds=pass_fds,
                 )
         except (FileNotFoundError, PermissionError) as error:
-            raise InputError(
-                f"cannot start the {name} {command[0]}: {error.strerror}",
-                code="no_command",
-                hint="build it first, or give its path",
-            ) from error
+            message = f"cannot start the {name} {command[0]}: {error.strerror}"
+            raise InputError(message, code="no_command", hint="build it first, or give its path") from error
         if self.core is not None:
             os.sched_setaffinity(process.pid, {self.core})
         self.children.append(_ChildProcess(name, process, output, output_offset))
@@ -113,17 +110,6 @@ class Processes:
         time.sleep(0.2)
         ended = [(child, status) for child in self.children if (status := child.process.poll()) is not None]
         return self._end_error(*min(ended, key=lambda one: _end_order(one[1]))) if ended else error
-
-    def memory_mb(self) -> dict[str, float]:
-        """Peak resident size of each running process."""
-        sizes = {}
-        for child in self.children:
-            status = Path(f"/proc/{child.process.pid}/status")
-            if status.exists():
-                lines = [line for line in status.read_text().splitlines() if line.startswith("VmHWM")]
-                if lines:
-                    sizes[child.name] = float(lines[0].split()[1]) / 1024.0
-        return sizes
 
     def stop(self) -> None:
         """End all processes and their children: SIGTERM, wait, SIGKILL."""

@@ -9,22 +9,24 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import NamedTuple
 
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.bench import load
 from tunefree_hil.bus.bench_channel import FAULT_ID, HELLO_ID, STATUS_ID, Role
 from tunefree_hil.bus.error_frames import error_words
-from tunefree_hil.bus.link import BusLink, Owner
-from tunefree_hil.bus.open import BusChoice, open_link
+from tunefree_hil.bus.link import BusLink
+from tunefree_hil.bus.open import BusChoice, LinkRequest, open_link
 from tunefree_hil.bus.recording.recorder_owner import BusTrouble, RecorderOwner
 from tunefree_hil.bus.socketcan.kernel_link import Claim
+from tunefree_hil.bus.tfhub.owner import Owner
 from tunefree_hil.bus.tfhub.records import EFF_MASK
 from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.jobs.command_text import option_arguments
 from tunefree_hil.jobs.running.node_links import TIMING_VARIABLE, hub_clock, resolve_process_bus
 from tunefree_hil.jobs.running.processes import Processes
 from tunefree_hil.jobs.running.session_parts import (
@@ -43,45 +45,37 @@ MAX_NAMED = 8  # foreign ids in one line
 RUNNER_IDS = (STATUS_ID, HELLO_ID, FAULT_ID)  # without TICK and DONE, as the runner is not part of the lockstep
 
 
-class BenchSession:
-    """A bench as a context manager.
+class BenchLaunch(NamedTuple):
+    """How a bench is started.
 
-    join: the nodes are already running; only the runner is started. controller_command: program of a foreign
-    controller, with placeholders (session_parts.CommandPlaceholders). controller_role: own command that runs as the
-    controller ('controller' or 'collector').
+    model: '' for that of the bench file. join: the nodes are already running; only the runner is started. core: CPU
+    core of the processes, None for any. controller_command: program of a foreign controller, with placeholders
+    (session_parts.CommandPlaceholders). controller_role: own command that runs as the controller ('controller' or
+    'collector').
     """
 
-    def __init__(
-        self,
-        bench_file: Path,
-        output_folder: Path,
-        *,
-        session: str,
-        model: str = "",
-        bus: str = "auto",
-        bench_bus: str = "",
-        realtime: bool = False,
-        join: bool = False,
-        jitted_ecu: bool = False,
-        core: int | None = None,
-        controller_command: Sequence[str] | None = None,
-        controller_role: str = "controller",
-    ) -> None:
+    session: str
+    model: str = ""
+    bus: str = "auto"
+    bench_bus: str = ""
+    realtime: bool = False
+    join: bool = False
+    jitted_ecu: bool = False
+    core: int | None = None
+    controller_command: Sequence[str] | None = None
+    controller_role: str = "controller"
+
+
+class BenchSession:
+    """A bench as a context manager."""
+
+    def __init__(self, bench_file: Path, output_folder: Path, launch: BenchLaunch) -> None:
         self.bench_file = bench_file
-        self.session = session
-        self.model = model
-        self.realtime = realtime
-        self.join = join
-        self.jitted_ecu = jitted_ecu
-        self.controller_command = controller_command
-        self.controller_role = controller_role
-        self.choice: BusChoice = resolve_process_bus(bus, session, bench_bus)
-        self.bench_bus = bench_bus
-        if bus.startswith("tfhub:"):  # the address contains the session
-            self.session = self.choice.bench_address.removeprefix("tfhub:").rpartition("/")[0]
-        # all nodes get the bus that `auto` resolved to, even if a link appears or disappears meanwhile
-        self.bus_text = self.choice.vehicle_address if self.choice.kind == "socketcan" else "tfhub"
-        self.processes = Processes(output_folder, core)
+        self.choice: BusChoice = resolve_process_bus(launch.bus, launch.session, launch.bench_bus)
+        if launch.bus.startswith("tfhub:"):  # the address contains the session
+            launch = launch._replace(session=self.choice.bench_address.removeprefix("tfhub:").rpartition("/")[0])
+        self.launch = launch
+        self.processes = Processes(output_folder, launch.core)
         self.notes: list[str] = []  # observations on the bus, as text
         self.links: list[BusLink] = []
         self.claims: list[Claim] = []
@@ -95,7 +89,7 @@ class BenchSession:
     def _open(self) -> None:
         try:
             self.claims = [Claim(name) for name in socketcan_links(self.choice)]
-            if not self.join:
+            if not self.launch.join:
                 self._start()
             self.runner = self._open_runner()
         except BaseException:
@@ -112,73 +106,65 @@ class BenchSession:
     ) -> None:
         self.close()
 
-    @property
-    def _common_arguments(self) -> list[str]:
-        arguments = ["--session", self.session, "--bus", self.bus_text]
-        arguments += ["--bench-bus", self.bench_bus] if self.bench_bus else []
-        return [*arguments, "--realtime"] if self.realtime else arguments
-
     def _start(self) -> None:
+        launch = self.launch
         if uses_hub(self.choice):
-            clock = hub_clock(self.realtime)
-            transport = ["--transport", "tcp"] if self.controller_command else []
-            arguments = ["hub", "--session", self.session, "--clock", clock, "--owned", *transport]
-            self.hub_pid = self.processes.start("hub", arguments)
-        model = ["--model", self.model] if self.model else []
+            transport = "tcp" if launch.controller_command else None
+            hub = option_arguments(
+                session=launch.session, clock=hub_clock(launch.realtime), owned=True, transport=transport
+            )
+            self.hub_pid = self.processes.start("hub", ["hub", *hub])
+        # all nodes get the bus that `auto` resolved to, even if a link appears or disappears meanwhile
+        bus = self.choice.vehicle_address if self.choice.kind == "socketcan" else "tfhub"
+        bench_bus = launch.bench_bus or None
+        common = option_arguments(session=launch.session, bus=bus, bench_bus=bench_bus, realtime=launch.realtime)
+        model = option_arguments(model=launch.model or None)
         timing = {TIMING_VARIABLE: str(self.processes.folder)}
         # NUMBA_OPT=1: same speed for a single vehicle, 25 % less compile time, 20 MB less memory
-        compiled = {"TUNEFREE_JIT": "1", "NUMBA_OPT": "1"} if self.jitted_ecu else {"TUNEFREE_JIT": "0"}
-        self.processes.start(
-            "ecu", ["ecu", str(self.bench_file), *model, *self._common_arguments], {**timing, **compiled}
-        )
-        if self.controller_command is None:
-            plain = {"TUNEFREE_JIT": "0"}
-            arguments = [self.controller_role, str(self.bench_file), *self._common_arguments]
-            self.processes.start("controller", arguments, {**timing, **plain})
+        compiled = {"TUNEFREE_JIT": "1", "NUMBA_OPT": "1"} if launch.jitted_ecu else {"TUNEFREE_JIT": "0"}
+        self.processes.start("ecu", ["ecu", str(self.bench_file), *model, *common], {**timing, **compiled})
+        if launch.controller_command is None:
+            arguments = [launch.controller_role, str(self.bench_file), *common]
+            self.processes.start("controller", arguments, {**timing, "TUNEFREE_JIT": "0"})
 
     def _start_foreign(self, command: Sequence[str]) -> None:
         """Start a foreign controller, after the hub has published its addresses."""
         bench = load(self.bench_file)
-        places = make_placeholders(self.choice, self.session, Path(bench.vehicle.folder), self.realtime)
+        launch, vehicle = self.launch, Path(bench.vehicle.folder)
+        places = make_placeholders(self.choice, launch.session, vehicle, launch.realtime)
         places = places._replace(paths=write_reference_paths(command, bench, self.processes.folder / "paths"))
         self.processes.run("controller", places.fill(command), places.environment())
 
     def _open_runner(self) -> Runner:
-        limit_s = _start_limit_s(START_LIMIT_S)
+        launch, limit_s = self.launch, _start_limit_s(START_LIMIT_S)
         if uses_hub(self.choice):
-            self.owner = self._own_when_ready(self._own_hub)
-        if self.controller_command and not self.join:
-            self._start_foreign(self.controller_command)
+            self.owner = self._own_when_ready()
+        if launch.controller_command and not launch.join:
+            self._start_foreign(launch.controller_command)
         if self.choice.kind == "socketcan":
             self.recorder = self._start_recorder(limit_s)
         keeper = self.recorder or self.owner
         assert keeper is not None
-        clock = hub_clock(self.realtime)  # checks that running nodes and hub have the same kind of clock
-        bench = open_link(self.choice, "bench", name="runner", only=RUNNER_IDS, clock=clock)
+        clock = hub_clock(launch.realtime)  # checks that running nodes and hub have the same kind of clock
+        bench = open_link(self.choice, "bench", LinkRequest("runner", only=RUNNER_IDS, clock=clock))
         self.links.append(bench)
         runner = Runner(bench, keeper, self._check)
-        runner.meet(_start_limit_s(JOIN_LIMIT_S) if self.join else limit_s)
-        if self.join:
+        runner.meet(_start_limit_s(JOIN_LIMIT_S) if launch.join else limit_s)
+        if launch.join:
             self._require_model(runner.collector.name(Role.ECU))
         return runner
 
     def _require_model(self, model: str) -> None:
         """Raise InputError where the joined ECU simulates another model than the wanted one."""
-        wanted = self.model or load(self.bench_file).spec.model
+        wanted = self.launch.model or load(self.bench_file).spec.model
         if Path(model).name != Path(wanted).name:
-            raise InputError(
-                f"the ecu of session {self.session} simulates {model}, but {wanted} is wanted",
-                code="other_model",
-                key="--join",
-                hint=f"start it with --model {wanted}, or leave out --join to start a separate bench",
-            )
+            message = f"the ecu of session {self.launch.session} simulates {model}, but {wanted} is wanted"
+            hint = f"start it with --model {wanted}, or leave out --join to start a separate bench"
+            raise InputError(message, code="other_model", key="--join", hint=hint)
 
     def _start_recorder(self, limit_s: float) -> RecorderOwner:
-        bench, choice = load(self.bench_file), self.choice
         try:
-            return start_recorder(
-                self.processes, choice, bench, self.session, realtime=self.realtime, patience_s=limit_s
-            )
+            return start_recorder(self.processes, self.choice, load(self.bench_file), self.launch, limit_s)
         except BenchError as error:
             raise self.processes.explain(error) from error
 
@@ -190,35 +176,26 @@ class BenchSession:
 
     def _own_hub(self) -> Owner:
         """Become the owner of the hub. Raises InputError when another bench's hub has the session."""
-        owner = Owner(self.session, name="runner")
-        if not self.join and owner.pid != self.hub_pid:
+        owner = Owner(self.launch.session, name="runner")
+        if not self.launch.join and owner.pid != self.hub_pid:
             owner.close()
-            raise InputError(
-                f"session {self.session} is in use by another hub, pid {owner.pid}",
-                code="session_in_use",
-                key="--session",
-                hint="join that bench with --join, or leave out --session to start a separate bench",
-            )
+            message = f"session {self.launch.session} is in use by another hub, pid {owner.pid}"
+            hint = "join that bench with --join, or leave out --session to start a separate bench"
+            raise InputError(message, code="session_in_use", key="--session", hint=hint)
         return owner
 
-    def _own_when_ready(self, open_it: Callable[[], Owner]) -> Owner:
+    def _own_when_ready(self) -> Owner:
         limit = time.monotonic() + _start_limit_s(START_LIMIT_S)
         while True:
             try:
-                return open_it()
+                return self._own_hub()
             except BenchError:
                 self.processes.check()
-                if self.join or time.monotonic() > limit:
+                if self.launch.join or time.monotonic() > limit:
                     raise
                 time.sleep(0.05)
 
-    def drive(
-        self,
-        scenario: ScenarioSpec,
-        seed: int,
-        parameters: Mapping[str, float],
-        folder: Path,
-    ) -> Outcome:
+    def drive(self, scenario: ScenarioSpec, seed: int, parameters: Mapping[str, float], folder: Path) -> Outcome:
         """Drive one episode; hub or recorder write `folder/vehicle.log` and `folder/bench.log`.
 
         parameters: by name, of the built-in controller and those that the controller announced.
@@ -281,10 +258,8 @@ def _start_limit_s(default_s: float) -> float:
 
 
 @contextmanager
-def open_lanes(
-    count: int, bench_file: Path, output_folder: Path, *, session: str, **more: Any
-) -> Iterator[list[BenchSession]]:
-    """Run `count` benches in parallel, each on one CPU core; `more` goes to each BenchSession.
+def open_lanes(count: int, bench_file: Path, output_folder: Path, launch: BenchLaunch) -> Iterator[list[BenchSession]]:
+    """Run `count` benches in parallel, each with a session name of its own and on one CPU core.
 
     The processes of a lockstep bench wait for each other, so one bench uses one core.
     """
@@ -293,8 +268,9 @@ def open_lanes(
         lanes = []
         for i in range(count):
             core = cores[i % len(cores)] if count > 1 and cores else None
-            name = f"{session}-{i}" if count > 1 else session
-            lanes.append(BenchSession(bench_file, output_folder / str(i), session=name, core=core, **more))
+            session = f"{launch.session}-{i}" if count > 1 else launch.session
+            own = launch._replace(session=session, core=core)
+            lanes.append(BenchSession(bench_file, output_folder / str(i), own))
         for lane in lanes:
             stack.enter_context(lane)
         yield lanes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from tunefree_hil.base.own_python import own_python
 from tunefree_hil.bench import Bench
@@ -16,6 +16,9 @@ from tunefree_hil.bus.tfhub.address import read_hub
 from tunefree_hil.jobs.running.node_links import message_ids, sends_fd
 from tunefree_hil.jobs.running.processes import Processes
 from tunefree_hil.jobs.scenarios import write_reference_drive
+
+if TYPE_CHECKING:
+    from tunefree_hil.jobs.running.session import BenchLaunch
 
 
 class CommandPlaceholders(NamedTuple):
@@ -82,7 +85,7 @@ def socketcan_links(choice: BusChoice) -> list[str]:
 
 
 def start_recorder(
-    processes: Processes, choice: BusChoice, bench: Bench, session: str, *, realtime: bool, patience_s: float
+    processes: Processes, choice: BusChoice, bench: Bench, launch: BenchLaunch, patience_s: float
 ) -> RecorderOwner:
     """Start a recorder of both channels. Raises BenchError where it does not start."""
     reports, commands = message_ids(bench)
@@ -90,12 +93,12 @@ def start_recorder(
         vehicle=choice.vehicle_address,
         bench=choice.bench_address,
         ids=(sorted(reports), sorted(commands)),
-        tick_ns=0 if realtime else round(bench.dt_s * 1e9),
+        tick_ns=0 if launch.realtime else round(bench.dt_s * 1e9),
         fd=sends_fd(bench),
     )
     own_end, recorder_end = socket.socketpair()
     with recorder_end:
-        command = own_python(MODULE, str(recorder_end.fileno()), session)
+        command = own_python(MODULE, str(recorder_end.fileno()), launch.session)
         processes.run("recorder", command, pass_fds=(recorder_end.fileno(),))
     try:
         return RecorderOwner(own_end, setup, patience_s)

@@ -19,12 +19,10 @@ from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.grade.score import GRADED_ENDS
 from tunefree_hil.jobs.run_folder import RunFolder, delete_logs
-from tunefree_hil.jobs.running.episode_results import EpisodeResult, read_episode
+from tunefree_hil.jobs.running.episode_results import ROLES, DrivenEpisode, EpisodeResult, read_episode
 from tunefree_hil.jobs.running.foreign_frames import watch_foreign_frames
 from tunefree_hil.jobs.running.session import BenchSession
-from tunefree_hil.nodes.runner import Outcome
 
-ROLES = ("ecu", "controller")
 TIMING_LIMIT_S = 1.0
 
 
@@ -110,16 +108,16 @@ class TrialDriver:
                     return
                 folder = self.run.episode(job.k)
                 try:
-                    outcome = self._drive(session, job.scenario, job.values, folder)
+                    driven = self._drive(session, job, folder)
                 except BenchError as error:
                     failed[job.k] = error
                     self._broken.append(session)
-                    if session.realtime:
+                    if session.launch.realtime:
                         collect_timing(session.processes.folder, folder, _timed_roles(session))
                     return
-                if keep and not session.join:
+                if keep and not session.launch.join:
                     collect_timing(session.processes.folder, folder, _timed_roles(session))
-                reading[job.k] = self._reader.submit(self._read, session.realtime, job, outcome, folder, keep)
+                reading[job.k] = self._reader.submit(self._read, driven, keep)
 
         driving = [self._lanes.submit(lane, session) for session in self.sessions]
         for future in driving:
@@ -134,41 +132,34 @@ class TrialDriver:
             self._broken[0].reopen()  # on failure it remains in the list, as do the others
             self._broken.pop(0)
 
-    def _drive(
-        self, session: BenchSession, scenario: ScenarioSpec, values: Mapping[str, float], folder: Path
-    ) -> Outcome:
+    def _drive(self, session: BenchSession, job: DriveJob, folder: Path) -> DrivenEpisode:
+        scenario = job.scenario
+        seed = scenario.noise_seed if self.seed is None else self.seed
         for role in ROLES:
             (session.processes.folder / f"timing-{role}.npz").unlink(missing_ok=True)
         with watch_foreign_frames(session.owner, self.bench.codec):
-            outcome = session.drive(scenario, self._seed_of(scenario), values, folder)
+            outcome = session.drive(scenario, seed, job.values, folder)
         self.simulated_s += outcome.ticks * self.bench.dt_s
         self.frames += sum(outcome.logged.values())
         if outcome.error not in GRADED_ENDS:
-            raise BenchError(
-                f"{scenario.name}: {ErrorCode(outcome.error_code).sentence} (tick {outcome.ticks})",
-                code=outcome.error,
-                file=str(folder),
-                hint=f"output of the nodes: {session.processes.folder}; frames: {folder / 'vehicle.log'}",
-            )
-        return outcome
+            message = f"{scenario.name}: {ErrorCode(outcome.error_code).sentence} (tick {outcome.ticks})"
+            hint = f"output of the nodes: {session.processes.folder}; frames: {folder / 'vehicle.log'}"
+            raise BenchError(message, code=outcome.error, file=str(folder), hint=hint)
+        return DrivenEpisode(scenario, job.values, outcome, folder, seed, session.launch.realtime)
 
-    def _seed_of(self, scenario: ScenarioSpec) -> int:
-        return scenario.noise_seed if self.seed is None else self.seed
-
-    def _read(self, realtime: bool, job: DriveJob, outcome: Outcome, folder: Path, keep: bool) -> EpisodeResult:
-        seed = self._seed_of(job.scenario)
-        episode = read_episode(self.bench, job.scenario, job.values, outcome, folder, seed=seed, realtime=realtime)
+    def _read(self, driven: DrivenEpisode, keep: bool) -> EpisodeResult:
+        episode = read_episode(self.bench, driven)
         if not keep:
-            delete_logs(folder)
+            delete_logs(driven.folder)
         return episode
 
 
 def _timed_roles(session: BenchSession) -> tuple[str, ...]:
     """Nodes that write cycle times; a foreign controller does not."""
-    return ROLES[:1] if session.controller_command else ROLES
+    return ROLES[:1] if session.launch.controller_command else ROLES
 
 
-def collect_timing(output_folder: Path, folder: Path, roles: Sequence[str] = ROLES) -> dict[str, np.ndarray]:
+def collect_timing(output_folder: Path, folder: Path, roles: Sequence[str]) -> None:
     """Collect the nodes' cycle times of the last episode into `folder/timing.npz`: {'ecu_late_s': ..., ...}."""
     times: dict[str, np.ndarray] = {}
     limit = time.monotonic() + TIMING_LIMIT_S
@@ -184,4 +175,3 @@ def collect_timing(output_folder: Path, folder: Path, roles: Sequence[str] = ROL
         with part.open("wb") as file:
             np.savez(file, allow_pickle=False, **times)
         shutil.move(part, folder / "timing.npz")
-    return times

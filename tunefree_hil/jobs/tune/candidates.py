@@ -11,6 +11,7 @@ from tunefree_hil.config.convert import read_toml
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec, value_of
 from tunefree_hil.config.vehicle_schema import LatencySpec
 from tunefree_hil.control.inner.mrac import RISE_PER_TAU
+from tunefree_hil.control.parameters import BY_NAME
 from tunefree_hil.jobs.run_folder import RunFolder
 from tunefree_hil.tune.baselines import (
     RuleInputs,
@@ -57,6 +58,11 @@ def compute_baseline_vectors(bench: Bench) -> dict[str, dict[str, float]]:
 def select_first_vector(vectors: Mapping[str, Mapping[str, float]]) -> Mapping[str, float]:
     """The baseline that is the first trial of a study."""
     return vectors[BENCH_VALUES] if BENCH_VALUES in vectors else select_first_baseline(vectors)
+
+
+def parameter_unit(name: str) -> str:
+    """Unit of a parameter; '' for one of a foreign controller."""
+    return BY_NAME[name].tunable.unit if name in BY_NAME else ""
 
 
 def _rule_inputs(bench: Bench) -> RuleInputs:

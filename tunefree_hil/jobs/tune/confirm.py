@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, parameters_of
+from tunefree_hil.jobs.progress import count_data
 from tunefree_hil.jobs.tune.evaluators import BusEvaluator, VectorCandidate
 from tunefree_hil.jobs.tune.margins import Vectors
 from tunefree_hil.jobs.tune.robustness import RobustnessResult
@@ -123,7 +124,6 @@ def confirm_over_bus(
             (evaluation,) = evaluator.evaluate([candidate])
         journal.store_confirmation(key, evaluation)
         score = ConfirmedStudy(journal).scores()[key]
-        each_s = (time.monotonic() - started) / done
-        data = {"label": "confirm", "done": done, "total": len(missing), "eta_s": each_s * (len(missing) - done)}
+        data = count_data("confirm", done, len(missing), started) | evaluator.pace
         message = f"{key}: batch {score.batch:.6f}, bus {score.bus:.6f}, {score.verdict}"
-        yield Event("progress" if score.is_equal else "warning", message, {**data, **evaluator.pace})
+        yield Event("progress" if score.is_equal else "warning", message, data)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch, Job
-from tunefree_hil.control.parameters import BY_NAME
 from tunefree_hil.grade.difference import ScoreDifference, score_difference
 from tunefree_hil.grade.score import combine_scores
+from tunefree_hil.jobs.options.records import ExplainOptions
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder, open_run, write_json
-from tunefree_hil.jobs.tune.candidates import read_best
+from tunefree_hil.jobs.tune.candidates import parameter_unit, read_best
 from tunefree_hil.jobs.tune.margins import find_batch_obstacle
 from tunefree_hil.tune.compare import find_best_baseline
 from tunefree_hil.tune.insight import (
@@ -24,8 +24,11 @@ from tunefree_hil.tune.insight import (
     describe_edges,
     find_edge,
 )
-from tunefree_hil.tune.space import Space
+from tunefree_hil.tune.space import Axis, Space
 from tunefree_hil.tune.study import Baseline, Trial, read_study
+
+if TYPE_CHECKING:
+    from tunefree_hil.figures.tuning.slices import ParameterSlice
 
 SCHEMA = "tunefree.explain/1"
 MAX_NAMED_TERMS = 5  # in the text
@@ -75,14 +78,9 @@ class TermDifference(NamedTuple):
     difference: float
 
 
-def explain(run: Any, *, points: int, slices: bool) -> Iterator[Event]:
-    """Print an analysis, and write explain.json and figures into the run folder.
-
-    Args:
-        run: Run folder of a finished tune.
-        points: Points of each slice.
-        slices: Whether to drive slices through the winner.
-    """
+def explain(options: ExplainOptions) -> Iterator[Event]:
+    """Print an analysis, and write explain.json and figures into the run folder."""
+    run, points = options.run, options.points
     folder = open_run(run)
     command = folder.record.get("command")
     if command != "tune":
@@ -94,10 +92,10 @@ def explain(run: Any, *, points: int, slices: bool) -> Iterator[Event]:
     winner = analysis.winner
     yield from (Event("line", line) for line in format_analysis(analysis))
     slice_scores: dict[str, SliceScores] = {}
-    obstacle = find_batch_obstacle(bench, folder.record.get(JOINED)) if slices else ""
+    obstacle = find_batch_obstacle(bench, folder.record.get(JOINED)) if options.slices else ""
     if obstacle:
         yield Event("warning", f"no slices through the winner: {obstacle}")
-    elif slices:
+    elif options.slices:
         total = sum(len(choose_slice_points(axis, points)) for axis in analysis.space.axes)
         drives = (total + 1) * len(bench.spec.scenarios)
         yield Event("note", f"slices through the winner: {total} sets of parameters, {drives} drives in the batch")
@@ -118,12 +116,8 @@ def analyse_study(folder: RunFolder, bench: Bench) -> StudyAnalysis:
     path = folder.path / "study.db"
     slot = read_best(folder).get("slot")
     if not path.is_file():
-        raise InputError(
-            "has no study.db",
-            code="no_study",
-            file=str(folder.path),
-            hint="its study is on a server: run the same tune command again, which copies the study here at its end",
-        )
+        hint = "its study is on a server: run the same tune command again, which copies the study here at its end"
+        raise InputError("has no study.db", code="no_study", file=str(folder.path), hint=hint)
     with read_study(path) as study:
         trials, baselines, space = study.trials(), study.baselines(), study.settings.space
     winner = next((trial for trial in trials if trial.slot == slot), None)
@@ -280,32 +274,27 @@ def _data(analysis: StudyAnalysis, slices: Mapping[str, SliceScores]) -> dict[st
 
 
 def _write_figures(folder: RunFolder, analysis: StudyAnalysis, slices: Mapping[str, SliceScores]) -> list[str]:
-    from tunefree_hil.figures.heat import write_heat
-    from tunefree_hil.figures.tuning.importance import write_importance
-    from tunefree_hil.figures.tuning.slices import ParameterSlice, write_slices
+    from tunefree_hil.figures.heat import draw_heat
+    from tunefree_hil.figures.style import save
+    from tunefree_hil.figures.tuning.importance import draw_importance
+    from tunefree_hil.figures.tuning.slices import draw_slices
 
     figures = folder.figures()
     title = f"Winner against {analysis.manual_name}: score {analysis.manual.score:.3f} -> {analysis.winner.score:.3f}"
-    written = [write_heat(figures / "difference.png", analysis.difference.terms, title)]
-    written.append(write_importance(figures / "importance.png", analysis.importance))
+    written = [save(draw_heat(analysis.difference.terms, title), figures / "difference.png")]
+    written.append(save(draw_importance(analysis.importance), figures / "importance.png"))
     if slices:
-        panels = {
-            axis.name: ParameterSlice(
-                slices[axis.name].values,
-                slices[axis.name].scores,
-                analysis.winner.parameters[axis.name],
-                axis.log,
-                BY_NAME[axis.name].tunable.unit if axis.name in BY_NAME else "",
-                _edge_text(find_edge(axis, analysis.winner.parameters[axis.name])),
-            )
-            for axis in analysis.space.axes
-        }
+        panels = {axis.name: _slice_panel(axis, slices[axis.name], analysis.winner) for axis in analysis.space.axes}
         heading = "One parameter changed at a time, the others as in the winner"
         written.append(
-            write_slices(figures / "slices.png", panels, analysis.winner.score, analysis.manual.score, heading)
+            save(draw_slices(panels, analysis.winner.score, analysis.manual.score, heading), figures / "slices.png")
         )
     return [str(path) for path in written]
 
 
-def _edge_text(edge: Edge) -> str:
-    return "" if edge is Edge.NONE else f"on the {edge} edge of its range"
+def _slice_panel(axis: Axis, slice_scores: SliceScores, winner: Trial) -> ParameterSlice:
+    from tunefree_hil.figures.tuning.slices import ParameterSlice
+
+    value, edge = winner.parameters[axis.name], find_edge(axis, winner.parameters[axis.name])
+    remark = "" if edge is Edge.NONE else f"on the {edge} edge of its range"
+    return ParameterSlice(*slice_scores, value, axis.log, parameter_unit(axis.name), remark)

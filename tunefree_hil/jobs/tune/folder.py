@@ -30,7 +30,7 @@ def open_run_folder(plan: TunePlan) -> Iterator[tuple[RunFolder, bool]]:
         InputError: Another process has locked it.
     """
     options = plan.options
-    name, root = f"tune-{options.bench.stem}", options.out or DEFAULT_ROOT
+    name, root = f"tune-{plan.bench_file.stem}", options.out or DEFAULT_ROOT
     with ExitStack() as stack:
         if options.resume is not None:
             run: RunFolder | None = open_run(options.resume)
@@ -48,7 +48,7 @@ def open_run_folder(plan: TunePlan) -> Iterator[tuple[RunFolder, bool]]:
         record = {
             **plan.run_record,
             OPTIONS: plan.stored_options,
-            "bench": str(options.bench),
+            "bench": str(plan.bench_file),
             "hashes": plan.identity["hashes"],
         }
 

@@ -11,6 +11,7 @@ from tunefree_hil.bench import Bench, load, own_parameters, parameters_of, requi
 from tunefree_hil.jobs.command_text import changed_options, shell_command
 from tunefree_hil.jobs.drive import new_session_name
 from tunefree_hil.jobs.identity import compute_identity
+from tunefree_hil.jobs.options.records import BATCH, TuneOptions
 from tunefree_hil.jobs.run_folder import open_run
 from tunefree_hil.jobs.running.foreign import require_foreign_controller, with_controller_command
 from tunefree_hil.jobs.running.node_links import resolve_vehicle_bus
@@ -22,62 +23,23 @@ from tunefree_hil.tune.space import Space, resolve_space
 from tunefree_hil.tune.store import StudySettings, check_settings
 
 OPTIONS = "options"  # key of run.json
-BATCH, BUS = "batch", "bus"
 BATCH_IN_FLIGHT = 8  # does not make the result worse (docs/reference/design.md)
 SHARED_IN_FLIGHT = 0  # each worker takes a slot when it is free
 DEFAULTS: Mapping[str, Any] = {"scale": "log", "verify": True, "confirm": 3}
 MAX_SLOWER_FACTOR = 10.0  # larger values are typing errors
 
 
-class TuneOptions(NamedTuple):
-    """The options of the command, as given; field names are option names and keys of `options` in run.json.
-
-    None: Not given. A resumed run keeps its value; otherwise that of the bench file or of DEFAULTS.
-    benches, in_flight: 0 for values that follow from bench file and machine.
-    session: '' for a new session.
-    """
-
-    bench: Path
-    trials: int | None = None
-    set_name: str | None = None
-    sampler: str | None = None
-    seed: int | None = None
-    scale: str | None = None
-    bus: str = "auto"
-    bench_bus: str = ""
-    join: bool = False
-    session: str = ""
-    out: Path | None = None
-    resume: Path | None = None
-    verify: bool | None = None
-    study: str | None = None
-    backend: str = BUS
-    benches: int = 0
-    in_flight: int = 0
-    realtime: bool = False
-    controller: str = ""
-    confirm: int | None = None
-
-
-class VerifyOptions(NamedTuple):
-    """The options of `verify`. session: '' for a new session."""
-
-    run: Path
-    bus: str = "auto"
-    bench_bus: str = ""
-    join: bool = False
-    session: str = ""
-
-
 class TunePlan(NamedTuple):
     """The resolved options.
 
+    bench_file: The given one, or the copy in the run to resume.
     vectors: Baselines by name.
     study_address: Of a shared study, without the password; '' for a study in the run folder.
     command: The same command again, for a shell.
     """
 
     options: TuneOptions
+    bench_file: Path
     bench: Bench
     settings: StudySettings
     identity: dict[str, Any]
@@ -123,10 +85,11 @@ class TunePlan(NamedTuple):
 
 def make_tune_plan(options: TuneOptions) -> TunePlan:
     """Resolve and check the options. Raises InputError."""
+    bench_file = _find_bench_file(options)
     options = fill_defaults(_restore_options(options) if options.resume else options)
     _require_compatible(options)
     address = parse_address(options.study) if options.study else None
-    bench = with_controller_command(load(options.bench), options.controller)
+    bench = with_controller_command(load(bench_file), options.controller)
     _require_slower(bench)
     space = _space(bench, options)
     _require_buildable(bench, options, space)
@@ -148,6 +111,7 @@ def make_tune_plan(options: TuneOptions) -> TunePlan:
     study_address = f"{address.public}#{address.name}" if address else ""
     return TunePlan(
         options=options,
+        bench_file=bench_file,
         bench=bench,
         settings=settings,
         identity=identity,
@@ -156,8 +120,19 @@ def make_tune_plan(options: TuneOptions) -> TunePlan:
         benches=benches,
         session=session,
         study_address=study_address,
-        command=format_command(options, study_address),
+        command=format_command(options._replace(bench=bench_file), study_address),
     )
+
+
+def _find_bench_file(options: TuneOptions) -> Path:
+    """The bench file that was given, or the copy in the run to resume. Raises InputError without either."""
+    if options.bench is not None:
+        return options.bench
+    if options.resume is not None:
+        return options.resume / "bench.toml"
+    benches = sorted(Path("bench_configs").glob("*.toml"))
+    listed = ", ".join(str(path) for path in benches) or "bench_configs/NAME.toml"
+    raise InputError("no bench file given", code="usage", key="BENCH", hint=f"give one of {listed}, or --resume RUN")
 
 
 def _restore_options(options: TuneOptions) -> TuneOptions:

@@ -9,12 +9,11 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.errors import TunefreeError
 from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.config.dump import to_toml
-from tunefree_hil.control.parameters import BY_NAME
 from tunefree_hil.episode.recording import Recording, load_recording
 from tunefree_hil.jobs.learn.report_text import describe_outside, measure_outside
-from tunefree_hil.jobs.report_text import GradesByScenario, candidate_table, comparison_text, early_end
+from tunefree_hil.jobs.report_text import GradesByScenario, candidate_table, comparison_text
 from tunefree_hil.jobs.run_folder import RunFolder, write_text
-from tunefree_hil.jobs.tune.candidates import TUNED, compute_baseline_vectors
+from tunefree_hil.jobs.tune.candidates import TUNED, compute_baseline_vectors, parameter_unit
 from tunefree_hil.jobs.tune.confirm import ConfirmedStudy
 from tunefree_hil.jobs.tune.robustness import RobustnessResult, robustness_data, robustness_table, robustness_text
 from tunefree_hil.tune.compare import BestBaseline, find_best_baseline
@@ -139,78 +138,75 @@ def find_winner_edges(study: ScoredStudy, winner: Trial) -> list[str]:
 
 
 def _write_figures(bench: Bench, run: RunFolder, study: ScoredStudy, winner: Trial, manual_name: str) -> list[str]:
-    from tunefree_hil.figures.bars import write_bars
-    from tunefree_hil.figures.tuning.history import write_history
-    from tunefree_hil.figures.tuning.scatter import ParameterBox, TrialPoints, write_scatter
+    from tunefree_hil.figures.bars import draw_bars
+    from tunefree_hil.figures.style import save
+    from tunefree_hil.figures.tuning.history import draw_history
+    from tunefree_hil.figures.tuning.scatter import ParameterBox, TrialPoints, draw_scatter
 
     folder = run.figures()
     trials, baselines = study.trials(), study.baselines()
     manual = baselines[manual_name]
     scores = [trial.score for trial in trials]
     others = {name: baseline.score for name, baseline in baselines.items() if name != manual_name}
-    written = [write_history(folder / "history.png", scores, {f"manual ({manual_name})": manual.score, **others})]
+    written = [save(draw_history(scores, {f"manual ({manual_name})": manual.score, **others}), folder / "history.png")]
     axes = study.settings.space.axes
     points = TrialPoints(
         parameters={axis.name: [trial.parameters[axis.name] for trial in trials] for axis in axes},
         scores=scores,
-        boxes={axis.name: ParameterBox(axis.low, axis.high, axis.log, _unit(axis.name)) for axis in axes},
+        boxes={axis.name: ParameterBox(axis.low, axis.high, axis.log, parameter_unit(axis.name)) for axis in axes},
         manual={axis.name: manual.parameters[axis.name] for axis in axes},
     )
-    written.append(write_scatter(folder / "parameters.png", points))
+    written.append(save(draw_scatter(points), folder / "parameters.png"))
     bars = {
         f"manual ({manual_name})": {name: drive["score"] for name, drive in manual.scenarios.items()},
         TUNED: {name: drive["score"] for name, drive in winner.scenarios.items()},
     }
-    written.append(write_bars(folder / "scenarios.png", bars))
-    written += write_scenario_figures(bench, run, winner.slot, manual_name, manual.scenarios, winner.scenarios)
+    written.append(save(draw_bars(bars), folder / "scenarios.png"))
+    written += write_scenario_figures(bench, run, study, winner, manual_name)
     return [str(path) for path in written]
 
 
 def write_scenario_figures(
-    bench: Bench, run: RunFolder, slot: int, manual_name: str, manual: GradesByScenario, tuned: GradesByScenario
+    bench: Bench, run: RunFolder, study: ScoredStudy, winner: Trial, manual_name: str
 ) -> list[Path]:
     """Manual against tuned, one figure a scenario; a scenario without recordings (an old run) is left out."""
-    from tunefree_hil.figures.scenario import DrivePicture, write_scenario
+    from tunefree_hil.figures.scenario import DrivePicture, draw_scenario
+    from tunefree_hil.figures.style import save
 
-    vectors = list(compute_baseline_vectors(bench))
+    manual_files = _columns_files(bench, run, list(compute_baseline_vectors(bench)).index(manual_name))
+    tuned_files = _trial_columns(bench, run, winner.slot)
+    manual = study.baselines()[manual_name].scenarios
     written = []
-    for index, name in enumerate(_driven_names(bench)):
+    for name in manual_files:
         groups = {
-            f"manual ({manual_name})": (vectors.index(manual_name), manual),
-            TUNED: (len(vectors) + slot, tuned),
+            f"manual ({manual_name})": (manual_files[name], manual[name]),
+            TUNED: (tuned_files[name], winner.scenarios[name]),
         }
-        drives = []
-        for label, (group, grades) in groups.items():
-            path = _columns(bench, run, group, index)
-            if path.is_file():
-                score, end = grades[name]["score"], early_end(grades[name]["outcome"])
-                drives.append(DrivePicture(label, load_recording(path).columns, score, end))
-        if len(drives) == len(groups):
-            written.append(write_scenario(run.figures() / f"{name}.png", name, drives))
+        if all(path.is_file() for path, _ in groups.values()):
+            drives = [
+                DrivePicture(label, load_recording(path).columns, grade["score"], grade["outcome"])
+                for label, (path, grade) in groups.items()
+            ]
+            written.append(save(draw_scenario(name, drives), run.figures() / f"{name}.png"))
     return written
 
 
-def _driven_names(bench: Bench) -> list[str]:
-    return [bench.scenarios[name].name for name in bench.spec.scenarios]
+def _columns_files(bench: Bench, run: RunFolder, group: int) -> dict[str, Path]:
+    """columns.npz of a candidate by scenario; the groups are the baselines, then the slots."""
+    names = [bench.scenarios[name].name for name in bench.spec.scenarios]
+    return {name: run.episode(k) / "columns.npz" for k, name in enumerate(names, group * len(names))}
 
 
-def _columns(bench: Bench, run: RunFolder, group: int, index: int) -> Path:
-    """columns.npz of one scenario of a candidate; the groups are the baselines, then the slots."""
-    return run.episode(group * len(bench.spec.scenarios) + index) / "columns.npz"
+def _trial_columns(bench: Bench, run: RunFolder, slot: int) -> dict[str, Path]:
+    return _columns_files(bench, run, len(compute_baseline_vectors(bench)) + slot)
 
 
 def _winning_drives(bench: Bench, run: RunFolder, slot: int) -> dict[str, Recording]:
     """Recordings of the winner by scenario, as far as they are in this run folder (not those of other workers)."""
-    group = len(compute_baseline_vectors(bench)) + slot
-    paths = {name: _columns(bench, run, group, index) for index, name in enumerate(_driven_names(bench))}
+    paths = _trial_columns(bench, run, slot)
     return {name: load_recording(path) for name, path in paths.items() if path.is_file()}
 
 
 def has_recordings(bench: Bench, run: RunFolder, slot: int) -> bool:
     """Whether the drives of a trial are in the run folder."""
-    group = len(compute_baseline_vectors(bench)) + slot
-    return all(_columns(bench, run, group, index).is_file() for index in range(len(bench.spec.scenarios)))
-
-
-def _unit(name: str) -> str:
-    return BY_NAME[name].tunable.unit if name in BY_NAME else ""
+    return all(path.is_file() for path in _trial_columns(bench, run, slot).values())

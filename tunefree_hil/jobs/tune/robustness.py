@@ -9,8 +9,6 @@ The result is plain data, the end of a sentence, and a table.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack
@@ -22,6 +20,8 @@ from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.bench.batch import Batch, Driven, Job
 from tunefree_hil.bench.scaling import DEAD_TIME, LAG
 from tunefree_hil.grade.score import combine_scores
+from tunefree_hil.jobs.identity import data_sha256
+from tunefree_hil.jobs.progress import count_data
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder, read_json, write_json
 from tunefree_hil.jobs.tune.margins import MIN_DRIVES_PER_CALL, JobDriver, find_batch_obstacle
 from tunefree_hil.tune.journal import slot_key
@@ -125,9 +125,8 @@ def drive_slower_car(
         chosen = {slot_key(trial.slot): parameters_of(bench, trial.parameters) for trial in open_trials[:batch_size]}
         totals |= _drive_vectors(batch, bench, chosen)
         n_driven, n_left = len(totals) - len(baselines), len(find_open_trials(trials, totals))
-        eta_s = (time.monotonic() - started) / n_driven * n_left
         n_passed = sum(is_robust(trial, totals) for trial in trials)
-        data = {"label": "robustness check, trial", "done": n_driven, "total": n_driven + n_left, "eta_s": eta_s}
+        data = count_data("robustness check, trial", n_driven, n_driven + n_left, started)
         yield Event("progress", f"{n_passed} of {n_driven} passed", data)
     return totals
 
@@ -173,8 +172,7 @@ def _find_missing_actuators(bench: Bench, study: ScoredStudy, totals: Mapping[st
 def hash_trials(study: ScoredStudy, factor: float) -> str:
     """An id of the inputs of a robustness result: settings, trials with scores, baselines, factor."""
     trials = [[trial.slot, trial.score] for trial in study.trials()]
-    text = json.dumps([study.settings.as_data(), trials, sorted(study.baselines()), factor], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return data_sha256([study.settings.as_data(), trials, sorted(study.baselines()), factor])
 
 
 def _read_totals(run: RunFolder, trials_id: str) -> dict[str, DriveTotals] | None:

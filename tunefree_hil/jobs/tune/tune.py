@@ -14,18 +14,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import is_heavy, model_of, parameters_of
+from tunefree_hil.bench import model_of, parameters_of
 from tunefree_hil.bench.batch import Batch
 from tunefree_hil.jobs.command_text import shell_command
 from tunefree_hil.jobs.learn.report_text import describe_model
+from tunefree_hil.jobs.options.records import TuneOptions, VerifyOptions
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder
-from tunefree_hil.jobs.running.foreign import controller_program, joined_controller_name, require_announced
+from tunefree_hil.jobs.running.foreign import joined_controller_name, make_launch, require_announced
 from tunefree_hil.jobs.running.session import open_lanes
 from tunefree_hil.jobs.running.trial_driver import TrialDriver
 from tunefree_hil.jobs.tune.confirm import ConfirmedStudy, confirm_over_bus, find_unconfirmed
 from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, BusEvaluator, RealtimeDriver, VectorCandidate
 from tunefree_hil.jobs.tune.folder import open_run_folder
-from tunefree_hil.jobs.tune.options import BATCH, TuneOptions, TunePlan, VerifyOptions, make_tune_plan
+from tunefree_hil.jobs.tune.options import BATCH, TunePlan, make_tune_plan
 from tunefree_hil.jobs.tune.report import has_recordings, write_tune_report
 from tunefree_hil.jobs.tune.robustness import RobustnessResult, check_robustness, hash_trials, robustness_from_data
 from tunefree_hil.jobs.tune.search import TrialSearch
@@ -197,12 +198,10 @@ def _share_robustness(
         text = f"the winner was determined by worker {finalisation.parts[WORKER]}"
         if finalisation.is_ours:
             text += ", which has not verified it"
+        elif VERIFIED in finalisation.parts:
+            text += " and verified"
         else:
-            text += (
-                " and verified"
-                if VERIFIED in finalisation.parts
-                else ", which verifies it unless --no-verify was given"
-            )
+            text += ", which verifies it unless --no-verify was given"
         yield Event("note", text)
     return robustness_from_data(finalisation.parts[ROBUSTNESS])
 
@@ -219,9 +218,8 @@ def _tune_in_batch(plan: TunePlan, run: RunFolder, stack: ExitStack) -> Generato
         with Batch(plan.bench) as batch:
             text = f"batch: {plan.settings.in_flight} trials in flight; a new bench is compiled first"
             n_confirmed = min(plan.confirm, plan.trials)
-            yield Event(
-                "note", f"{text}. Afterwards the {n_confirmed} best trials and the baselines are driven over the bus"
-            )
+            text += f". Afterwards the {n_confirmed} best trials and the baselines are driven over the bus"
+            yield Event("note", text)
             evaluator = BatchEvaluator(batch, plan.bench, scenarios, batch_size=max(len(plan.vectors), 1))
             search = TrialSearch(plan, run, evaluator, journal)
             yield from search.score_baselines()
@@ -257,20 +255,10 @@ def _describe_lanes(plan: TunePlan, evaluator: BusEvaluator) -> str:
 @contextmanager
 def _open_evaluator(plan: TunePlan, run: RunFolder) -> Iterator[BusEvaluator]:
     """Start the benches over the bus and evaluate on them."""
-    options, bench, model = plan.options, plan.bench, plan.bench.spec.model
-    with open_lanes(
-        plan.benches,
-        Path(bench.file),
-        run.node_output(),
-        session=plan.session,
-        model=model,
-        bus=options.bus,
-        bench_bus=options.bench_bus,
-        realtime=options.realtime,
-        join=options.join,
-        jitted_ecu=is_heavy(bench, model),
-        controller_command=controller_program(bench),
-    ) as lanes:
+    options, bench = plan.options, plan.bench
+    bus = {"bus": options.bus, "bench_bus": options.bench_bus, "join": options.join, "realtime": options.realtime}
+    launch = make_launch(bench, bench.spec.model, session=plan.session, **bus)
+    with open_lanes(plan.benches, Path(bench.file), run.node_output(), launch) as lanes:
         require_announced(bench, lanes, plan.settings.space.names)
         if options.join:
             run.add_to_record(**{JOINED: joined_controller_name(lanes)})

@@ -7,25 +7,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Generator, Iterator, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import Bench, is_heavy, load
+from tunefree_hil.bench import Bench, load
 from tunefree_hil.jobs.command_text import shell_command
 from tunefree_hil.jobs.drive import new_session_name
 from tunefree_hil.jobs.learn.report_text import describe_outside, measure_outside
-from tunefree_hil.jobs.progress import left_s
-from tunefree_hil.jobs.report_text import candidate_table, comparison_text, early_end, failed_scenarios
+from tunefree_hil.jobs.options.records import VerifyOptions
+from tunefree_hil.jobs.progress import count_data
+from tunefree_hil.jobs.report_text import candidate_table, comparison_text, failed_scenarios
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder, open_run, write_json
 from tunefree_hil.jobs.running.episode_results import EpisodeResult, evaluation_from_episodes
-from tunefree_hil.jobs.running.foreign import controller_program, joined_controller_name
+from tunefree_hil.jobs.running.foreign import joined_controller_name, make_launch
 from tunefree_hil.jobs.running.session import choose_lane_count, open_lanes
 from tunefree_hil.jobs.running.trial_driver import TrialDriver
 from tunefree_hil.jobs.tune.candidates import TUNED, compute_baseline_vectors, read_winner
 from tunefree_hil.jobs.tune.margins import find_margins, margin_data, margin_table, margin_text, measure_steering
-from tunefree_hil.jobs.tune.options import VerifyOptions
 from tunefree_hil.tune.trial import Evaluation
 
 EXIT_NOT_BETTER = 1  # exit status
@@ -66,24 +67,15 @@ def verify_winner(bench: Bench, run: RunFolder, options: VerifyOptions) -> Gener
     if not model or not bench.spec.verify_scenarios:
         raise InputError("has no verify_model with verify_scenarios", file=bench.file, key="verify_model")
     vectors = {TUNED: read_winner(bench, run), **compute_baseline_vectors(bench)}
-    with open_lanes(
-        choose_lane_count(options.join, options.bus),
-        Path(bench.file),
-        run.node_output(),
-        session=options.session if options.join else f"{options.session}-verify",
-        model=model,
-        bus=options.bus,
-        bench_bus=options.bench_bus,
-        join=options.join,
-        jitted_ecu=is_heavy(bench, model),
-        controller_command=controller_program(bench),
-    ) as lanes:
+    session = options.session if options.join else f"{options.session}-verify"
+    launch = make_launch(bench, model, session=session, bus=options.bus, bench_bus=options.bench_bus, join=options.join)
+    n_lanes = choose_lane_count(options.join, options.bus)
+    with open_lanes(n_lanes, Path(bench.file), run.node_output(), launch) as lanes:
         driver = TrialDriver(lanes, bench, RunFolder(run.path / "verify", run.record))
         episodes = yield from _drive_vectors(driver, bench, vectors)
         joined = joined_controller_name(lanes) if options.join else run.record.get(JOINED)
     data = _compare({name: evaluation_from_episodes(by_scenario) for name, by_scenario in episodes.items()})
-    for line in candidate_table(data["scenarios"], data["scores"]):
-        yield Event("note", line)
+    yield from (Event("note", line) for line in candidate_table(data["scenarios"], data["scores"]))
     data["margins"] = yield from _report_margins(bench, vectors, episodes, data["scores"], joined)
     # whether the data of the tuned model cover what the winner does on the vehicle
     recordings = {name: episode.recording for name, episode in episodes[TUNED].items()}
@@ -102,15 +94,12 @@ def _drive_vectors(
     scenarios = [bench.scenarios[name] for name in bench.spec.verify_scenarios]
     episodes: EpisodesByVector = {}
     started = time.monotonic()
-    try:
+    with closing(driver):
         for i, (name, values) in enumerate(vectors.items()):
             episodes[name] = driver.drive_scenarios(values, scenarios, i * len(scenarios))
-            eta_s = left_s(started, (i + 1) / len(vectors))
-            data = {"label": "verify", "done": i + 1, "total": len(vectors), "eta_s": eta_s, **driver.pace}
+            data = count_data("verify", i + 1, len(vectors), started) | driver.pace
             score = evaluation_from_episodes(episodes[name]).score
             yield Event("progress", f"{name} scores {score:.3f} on {bench.spec.verify_model}", data)
-    finally:
-        driver.close()
     return episodes
 
 
@@ -133,14 +122,11 @@ def _report_margins(
         for name, by_scenario in episodes.items()
     }
     data = margin_data(margin_result, steering, scores, over_bus)
-    for line in margin_table(data, TUNED):
-        yield Event("note", line)
+    yield from (Event("note", line) for line in margin_table(data, TUNED))
     equal_scores = data["same_as_bus"]
     if equal_scores and equal_scores["equal"] < equal_scores["of"]:
-        yield Event(
-            "warning",
-            f"batch and bus agree in {equal_scores['equal']} of {equal_scores['of']} scores of the nominal car",
-        )
+        counts = f"{equal_scores['equal']} of {equal_scores['of']}"
+        yield Event("warning", f"batch and bus agree in {counts} scores of the nominal car")
     return data
 
 
@@ -162,16 +148,16 @@ def _compare(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
 
 
 def _write_figures(run: RunFolder, episodes: EpisodesByVector, data: Mapping[str, Any]) -> list[str]:
-    from tunefree_hil.figures.scenario import DrivePicture, write_scenario
-    from tunefree_hil.figures.tuning.margins import write_margins
+    from tunefree_hil.figures.scenario import DrivePicture, draw_scenario
+    from tunefree_hil.figures.style import save
+    from tunefree_hil.figures.tuning.margins import draw_margins
 
     manual, margins = data["manual"], data["margins"]
-    written = [] if margins["reason"] else [str(write_margins(run.figures() / "margins.png", margins, TUNED))]
+    written = [] if margins["reason"] else [str(save(draw_margins(margins, TUNED), run.figures() / "margins.png"))]
     for name in episodes[TUNED]:
         drives = []
         for label, candidate in ((f"manual ({manual})", manual), (TUNED, TUNED)):
-            episode = episodes[candidate][name]
-            grade = episode.grade
-            drives.append(DrivePicture(label, episode.recording.columns, grade.score, early_end(grade.outcome)))
-        written.append(str(write_scenario(run.figures() / f"verify_{name}.png", f"{name} (verify)", drives)))
+            recording, grade, *_ = episodes[candidate][name]
+            drives.append(DrivePicture(label, recording.columns, grade.score, grade.outcome))
+        written.append(str(save(draw_scenario(f"{name} (verify)", drives), run.figures() / f"verify_{name}.png")))
     return written

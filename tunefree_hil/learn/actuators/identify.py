@@ -42,6 +42,7 @@ from tunefree_hil.learn.actuators.search import (
 from tunefree_hil.learn.data_sheet import ChannelSheet, is_accel_commanded
 from tunefree_hil.learn.drives.drive import DriveSplit
 from tunefree_hil.learn.drives.smoothing import estimate_noise, estimate_quantum
+from tunefree_hil.learn.drives.validity import DRIVING_CHANNELS
 from tunefree_hil.learn.estimate import (
     HALF_WIDTH_95,
     ActuatorFit,
@@ -50,7 +51,6 @@ from tunefree_hil.learn.estimate import (
     make_unidentified_estimate,
 )
 
-PEDALS_AND_STEER = ("throttle", "brake", "steer")
 TIMES = ("dead_time_s", "lag_s")
 BASIC_STRUCTURES = (
     ActuatorStructure(1, False),
@@ -291,7 +291,7 @@ def _estimate_unknown(structure_fit: StructureFit, name: str, scale: ActuatorSca
 
 def model_channels(vehicle: VehicleSpec) -> list[str]:
     """The channels of a vehicle's model: the inputs of its plant, and all others that are commanded."""
-    needed = ("accel", "steer") if is_accel_commanded(vehicle) else PEDALS_AND_STEER
+    needed = ("accel", "steer") if is_accel_commanded(vehicle) else DRIVING_CHANNELS
     return [name for name in CHANNELS if name in needed or CHANNELS[name] in vehicle.command]
 
 

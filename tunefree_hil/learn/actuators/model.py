@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from tunefree_hil.base.kernel import kept, kernel
 from tunefree_hil.learn.actuators.samples import ActuatorSamples
@@ -197,8 +198,6 @@ def simulate_output(model: ActuatorModel, samples: ActuatorSamples) -> Array:
 
 def filter_rate(rate: Array, window: int, dt_s: float) -> Array:
     """A rate as estimate_rate (learn/drives/smoothing.py) recovers it from the rate's own integral."""
-    from scipy.signal import savgol_filter
-
     if len(rate) < window:
         return smooth_signal(rate, window)
     return np.asarray(savgol_filter(np.cumsum(rate) * dt_s, window, 2, deriv=1, delta=dt_s))

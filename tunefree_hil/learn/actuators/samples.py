@@ -118,24 +118,30 @@ def collect_samples(parts: Iterable[DrivePart], channel: str) -> ChannelSamples:
     sources: list[str] = []
     ages: list[Array] = []
     for part in parts:
-        drive = part.drive
-        record = _read_channel(drive, channel)
+        record = _read_channel(part.drive, channel)
         if record is None:
             continue
         sources += [record.source] if record.source not in sources else []
-        ages += [drive.command_ages.get(f"report.{ECHOES[channel]}", NO_AGES)]
-        for begin, end in _find_segments(part, record):
-            is_compared = record.is_fresh[begin:end] & np.isfinite(record.output[begin:end])
-            is_compared[: round(SAMPLES.warm_up_s / drive.dt_s)] = False
-            if is_compared.any():
-                command, output = record.command[begin:end], record.output[begin:end]
-                segments.append(ActuatorSamples(command, output, is_compared, drive.dt_s, record.filter_ticks))
+        ages += [part.drive.command_ages.get(f"report.{ECHOES[channel]}", NO_AGES)]
+        segments += cut_segments(record, _find_segments(part, record), part.drive.dt_s)
     all_ages = np.concatenate([NO_AGES, *ages])
     age_std_s = float(all_ages.std()) if len(all_ages) else 0.0
     if age_std_s > SAMPLES.min_age_std_s:
         mean_ms, std_ms = 1e3 * all_ages.mean(), 1e3 * age_std_s
         sources.append(f"commands come {mean_ms:.1f} ms before it, standard deviation {std_ms:.1f} ms")
     return ChannelSamples(channel, tuple(segments), "; ".join(sources), age_std_s)
+
+
+def cut_segments(record: ChannelRecord, runs: Iterable[tuple[int, int]], dt_s: float) -> list[ActuatorSamples]:
+    """The rows [begin, end) of each run as a segment; those without a compared row are left out."""
+    segments = []
+    for begin, end in runs:
+        command, output = record.command[begin:end], record.output[begin:end]
+        is_compared = record.is_fresh[begin:end] & np.isfinite(output)
+        is_compared[: round(SAMPLES.warm_up_s / dt_s)] = False
+        if is_compared.any():
+            segments.append(ActuatorSamples(command, output, is_compared, dt_s, record.filter_ticks))
+    return segments
 
 
 def clip_to_stops(training: ChannelSamples, held_out: ChannelSamples) -> tuple[ChannelSamples, ChannelSamples]:
@@ -156,23 +162,30 @@ def clip_to_stops(training: ChannelSamples, held_out: ChannelSamples) -> tuple[C
 
 def _read_channel(drive: Drive, channel: str) -> ChannelRecord | None:
     """A channel over a whole drive; None where the drive lacks the command or the output."""
-    name, echo_name = f"report.{CHANNELS[channel]}", f"report.{ECHOES[channel]}"
-    output, wire = drive.get(name), drive.get(f"command.{CHANNELS[channel]}")
-    echo = drive.get(echo_name)
-    if output is None and channel != "accel":
-        return None
-    if echo is not None:
-        command = command_from_echo(echo, drive.fresh[echo_name], wire, drive.dt_s)
-        source = "command and output from the same report"
-        source += "" if wire is None else ", the command on the bus between two reports"
-    elif wire is not None:
-        command = shift_later(wire, BENCH_TICKS)
-        source = f"no echo: commands are delayed by {BENCH_TICKS} ticks, as on the bench"
-    else:
+    name, command = f"report.{CHANNELS[channel]}", _acting_command(drive, channel)
+    if command is None:
         return None
     if channel == "accel":
         return _record_from_speed(drive, command)
-    return None if output is None else ChannelRecord(command, output, drive.fresh[name], 0, source)
+    output = drive.get(name)
+    if output is None:
+        return None
+    if drive.get(f"report.{ECHOES[channel]}") is None:
+        source = f"no echo: commands are delayed by {BENCH_TICKS} ticks, as on the bench"
+    else:
+        source = "command and output from the same report"
+        has_wire = drive.get(f"command.{CHANNELS[channel]}") is not None
+        source += ", the command on the bus between two reports" if has_wire else ""
+    return ChannelRecord(command, output, drive.fresh[name], 0, source)
+
+
+def _acting_command(drive: Drive, channel: str) -> Array | None:
+    """The command of a channel at the ticks in which it acts; None where the log has neither command nor echo."""
+    wire, echo_name = drive.get(f"command.{CHANNELS[channel]}"), f"report.{ECHOES[channel]}"
+    echo = drive.get(echo_name)
+    if echo is not None:
+        return command_from_echo(echo, drive.fresh[echo_name], wire, drive.dt_s)
+    return None if wire is None else shift_later(wire, BENCH_TICKS)
 
 
 def _record_from_speed(drive: Drive, command: Array) -> ChannelRecord | None:
@@ -371,30 +384,24 @@ def read_actuation(drive: Drive, channel: str, rest: float) -> ChannelActuation:
 
     A vehicle without the channel has its command at `rest` throughout.
     """
-    name, echo_name = f"report.{CHANNELS[channel]}", f"report.{ECHOES[channel]}"
-    wire, reported, echo = drive.get(f"command.{CHANNELS[channel]}"), drive.get(name), drive.get(echo_name)
-    missing = np.full(drive.n_rows, np.nan)
-    output = missing if reported is None else interpolate_fresh(reported, drive.fresh[name])
-    if wire is None and reported is None:
+    name = f"report.{CHANNELS[channel]}"
+    reported, missing = drive.get(name), np.full(drive.n_rows, np.nan)
+    if reported is None and drive.get(f"command.{CHANNELS[channel]}") is None:
         return ChannelActuation(np.full(drive.n_rows, rest), missing, np.ones(drive.n_rows, dtype=bool))
-    if echo is not None:
-        command = command_from_echo(echo, drive.fresh[echo_name], wire, drive.dt_s)
-        # a driver at the wheel moves the output, while the echo of the command may stay at rest
-        return ChannelActuation(command, output, np.isfinite(command) & (drive.enabled | ~np.isfinite(output)))
-    if wire is None:
+    output = missing if reported is None else interpolate_fresh(reported, drive.fresh[name])
+    command = _acting_command(drive, channel)
+    if command is None:
         return ChannelActuation(missing, output, np.zeros(drive.n_rows, dtype=bool))
-    command = shift_later(wire, BENCH_TICKS)
-    return ChannelActuation(command, output, np.isfinite(command) & drive.enabled)
+    acts = drive.enabled
+    if drive.get(f"report.{ECHOES[channel]}") is not None:
+        acts = acts | ~np.isfinite(output)  # a driver moves the output, while the echo of the command may stay at rest
+    return ChannelActuation(command, output, np.isfinite(command) & acts)
 
 
 def read_accel_command(drive: Drive) -> Array | None:
     """The commanded acceleration at the ticks in which it acts; None for a car whose log shows pedals."""
-    wire, echo = drive.get("command.accel_mps2"), drive.get(f"report.{ECHOES['accel']}")
-    if any(drive.get(f"{group}.throttle_frac") is not None for group in ("command", "report")):
-        return None
-    if echo is not None:
-        return command_from_echo(echo, drive.fresh[f"report.{ECHOES['accel']}"], wire, drive.dt_s)
-    return None if wire is None else shift_later(wire, BENCH_TICKS)
+    has_pedals = any(f"{group}.throttle_frac" in drive.fields for group in ("command", "report"))
+    return None if has_pedals else _acting_command(drive, "accel")
 
 
 def pedals_from_accel_command(accel_command: Array, enabled: Array, rest: float) -> list[ChannelActuation]:

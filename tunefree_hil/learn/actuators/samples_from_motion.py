@@ -30,7 +30,9 @@ from tunefree_hil.learn.actuators.samples import (
     CHANNELS,
     SAMPLES,
     ActuatorSamples,
+    ChannelRecord,
     ChannelSamples,
+    cut_segments,
     shift_later,
 )
 from tunefree_hil.learn.drives.drive import INS_FIRST_YAW_RATES, Array, Drive, DrivePart, first_valid_field
@@ -158,12 +160,10 @@ def samples_from_motion(parts: Sequence[DrivePart], law: MotionLaw, vehicle: Veh
             continue
         command, output = _command_and_output(law, signals)
         is_good = signals.is_usable & np.isfinite(command) & np.isfinite(output)
-        for begin, end in find_runs(is_good, round(LAW.min_segment_s / signals.dt_s)):
-            is_compared = signals.is_fresh[begin:end] & (signals.speed[begin:end] > law.slow_mps)
-            is_compared[: round(SAMPLES.warm_up_s / signals.dt_s)] = False
-            if is_compared.any():
-                columns = command[begin:end], output[begin:end], is_compared
-                segments.append(ActuatorSamples(*columns, signals.dt_s, signals.window))
+        is_compared = signals.is_fresh & (signals.speed > law.slow_mps)
+        record = ChannelRecord(command, output, is_compared, signals.window, MOTION_DESCRIPTION)
+        runs = find_runs(is_good, round(LAW.min_segment_s / signals.dt_s))
+        segments += cut_segments(record, runs, signals.dt_s)
     return ChannelSamples(law.channel, tuple(segments), MOTION_DESCRIPTION)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from tunefree_hil.config.import_schema import si_unit
-from tunefree_hil.episode.plausible import HIGHEST, HIGHEST_OF, Finding, check_units
+from tunefree_hil.episode.plausible import HIGHEST, HIGHEST_OF, check_units
 from tunefree_hil.episode.plausible_pairs import Pair, pairs_of
 from tunefree_hil.learn.checks.problem import LogProblem
 from tunefree_hil.learn.checks.stuck_signals import check_stuck_signals
@@ -17,6 +17,7 @@ from tunefree_hil.learn.drives.drive import (
     CHASSIS_FIRST_SPEEDS,
     STEER_FIELDS,
     THROTTLE_FIELDS,
+    Array,
     Drive,
     csv_drive_from_drive,
     first_field_name,
@@ -24,12 +25,12 @@ from tunefree_hil.learn.drives.drive import (
     moving_rows,
     reversing_rows,
 )
+from tunefree_hil.learn.drives.runs import true_throughout
 from tunefree_hil.learn.drives.smoothing import interpolate_fresh
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import NominalSpec, VehicleSpec
 
-Array = np.ndarray
 
 STEER = "report.steer_rad"
 STEERING_CHECK = "steer_and_yaw_rate"
@@ -94,16 +95,8 @@ def _check_ranges(drive: Drive) -> Iterator[LogProblem]:
             yield LogProblem("refuse", "units", drive.name, name, message)
 
 
-class _Comparison(NamedTuple):
-    """Two measurements of one quantity, their comparison, and the fields that stand in for others."""
-
-    pair: Pair
-    finding: Finding
-    substitutes: dict[str, str]
-
-
-def _compare_pairs(drive: Drive, nominal: NominalSpec, max_steer_rad: float) -> Iterator[_Comparison]:
-    """All comparisons that can be judged."""
+def _check_pairs(drive: Drive, nominal: NominalSpec, max_steer_rad: float) -> Iterator[LogProblem]:
+    """Fields that measure the same quantity and do not agree."""
     steer = first_field_name(drive, STEER_FIELDS)
     substitutes = {STEER: steer} if steer and STEER not in drive.fields else {}
     columns = csv_drive_from_drive(drive, substitutes)
@@ -115,30 +108,25 @@ def _compare_pairs(drive: Drive, nominal: NominalSpec, max_steer_rad: float) -> 
     findings = [finding for finding in check_units(columns, *constants) if finding.check != "range"]
     substituted = {*substitutes, *substitutes.values()}
     for pair, finding in zip(pairs, findings, strict=True):
-        if finding.holds is None or finding.factor is None or set(_fields_of(pair)) <= substituted:
+        holds, factor = finding.holds, finding.factor
+        if holds is None or factor is None or set(_fields_of(pair)) <= substituted:
             continue
         if pair.check == STEERING_CHECK and not is_known:
             # for an unknown vehicle only the sign counts, and that only where steering angles are large enough
             steer_range = np.ptp(drive.fields[steer or STEER][moving_rows(drive)])
             if steer_range < CONSISTENCY.min_steer_range_share * max_steer_rad:
                 continue
-            finding = finding._replace(holds=finding.factor > 0.0)
-        yield _Comparison(pair, finding, substitutes)
+            holds = factor > 0.0
+        if not holds:
+            yield _describe_mismatch(drive, pair, factor, substitutes)
 
 
 def _fields_of(pair: Pair) -> tuple[str, ...]:
     return (*pair.first, *pair.second)
 
 
-def _check_pairs(drive: Drive, nominal: NominalSpec, max_steer_rad: float) -> Iterator[LogProblem]:
-    """Fields that measure the same quantity and do not agree."""
-    for comparison in _compare_pairs(drive, nominal, max_steer_rad):
-        if not comparison.finding.holds and comparison.finding.factor is not None:
-            yield _describe_mismatch(drive, comparison, comparison.finding.factor)
-
-
-def _describe_mismatch(drive: Drive, comparison: _Comparison, factor: float) -> LogProblem:
-    pair, substitutes = comparison.pair, comparison.substitutes
+def _describe_mismatch(drive: Drive, pair: Pair, factor: float, substitutes: Mapping[str, str]) -> LogProblem:
+    """A pair whose ratio is not allowed. substitutes: by the name of a field, the one that stands in for it."""
     first, second = (" and ".join(substitutes.get(name, name) for name in names) for names in (pair.first, pair.second))
     field = substitutes.get(pair.first[0], pair.first[0])
     low, high = pair.allowed
@@ -208,10 +196,8 @@ def _check_pedals(drive: Drive, rest_frac: float) -> Iterator[LogProblem]:
         if brake is None:
             yield from _check_single_pedal(drive, throttle_name, accel, rows)
             continue
-        pressed_frac, released_frac = (
-            rest_frac + CONSISTENCY.min_pressed_frac,
-            rest_frac + CONSISTENCY.max_released_frac,
-        )
+        pressed_frac = rest_frac + CONSISTENCY.min_pressed_frac
+        released_frac = rest_frac + CONSISTENCY.max_released_frac
         is_driven = rows & _stays_pressed((throttle > pressed_frac) & (brake < released_frac), drive.dt_s)
         is_braked = rows & _stays_pressed((brake > pressed_frac) & (throttle < released_frac), drive.dt_s)
         if min(is_driven.sum(), is_braked.sum()) * drive.dt_s < CONSISTENCY.min_pressed_s:
@@ -280,12 +266,7 @@ def _effect_rows(dt_s: float) -> tuple[int, int]:
 
 def _stays_pressed(is_pressed: Array, dt_s: float) -> Array:
     """Rows from which a pedal stays pressed until its effect is measured, so that the other pedal does not act."""
-    delay, window = _effect_rows(dt_s)
-    rows = delay + window
-    count = np.concatenate(([0], np.cumsum(is_pressed)))
-    stays = np.zeros(len(is_pressed), dtype=bool)
-    stays[: max(0, len(is_pressed) - rows)] = count[rows + 1 :] - count[: -rows - 1] == rows + 1
-    return stays
+    return true_throughout(is_pressed, 0, sum(_effect_rows(dt_s)))
 
 
 def _judged_rows(drive: Drive, accel: Array, *, by_command: bool) -> Array:

@@ -13,15 +13,16 @@ import numpy as np
 from tunefree_hil.learn.checks.consistency import check_consistency
 from tunefree_hil.learn.checks.problem import LogProblem
 from tunefree_hil.learn.checks.same_vehicle import check_same_vehicle
+from tunefree_hil.learn.data_sheet import has_brake
 from tunefree_hil.learn.drives.drive import (
     BRAKE_FIELDS,
     CHASSIS_FIRST_SPEEDS,
     MOVING_MPS,
     STEER_FIELDS,
     THROTTLE_FIELDS,
+    Array,
     Drive,
     LogSummary,
-    first_field_name,
     first_field_values,
     moving_rows,
 )
@@ -29,9 +30,6 @@ from tunefree_hil.learn.drives.drive import (
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import FieldSpec, VehicleSpec
 
-__all__ = ["LogProblem", "check_drives"]
-
-Array = np.ndarray
 
 SPEED = CHASSIS_FIRST_SPEEDS[0]  # the field in problems of the speed
 CUT_LOG = "cut the log in two there"
@@ -91,7 +89,9 @@ def check_drives(drives: Sequence[Drive], vehicle: VehicleSpec) -> list[LogProbl
             long_enough.append(drive)
     for drive in long_enough:
         if drive.log_summary is not None:
-            problems += _check_frames(drive, drive.log_summary, vehicle)
+            problems += _check_missing_messages(drive, drive.log_summary, vehicle)
+            problems += _check_bad_frames(drive, drive.log_summary, vehicle)
+            problems += _check_rates(drive, drive.log_summary, vehicle)
             problems += _check_clock(drive, drive.log_summary)
         problems += _check_numbers(drive)
         problems += check_consistency(drive, vehicle)
@@ -119,13 +119,6 @@ def _too_small(drive: Drive, summary: LogSummary) -> LogProblem:
 
 
 # --- frames ----------------------------------------------------------------------------------------------------------
-
-
-def _check_frames(drive: Drive, summary: LogSummary, vehicle: VehicleSpec) -> Iterator[LogProblem]:
-    """Ids, lengths, CRCs and rates against the vehicle folder."""
-    yield from _check_missing_messages(drive, summary, vehicle)
-    yield from _check_bad_frames(drive, summary, vehicle)
-    yield from _check_rates(drive, summary, vehicle)
 
 
 def _check_missing_messages(drive: Drive, summary: LogSummary, vehicle: VehicleSpec) -> Iterator[LogProblem]:
@@ -302,21 +295,18 @@ def _check_numbers(drive: Drive) -> Iterator[LogProblem]:
 
 def _check_amount(drives: Sequence[Drive], vehicle: VehicleSpec) -> Iterator[LogProblem]:
     """Duration, speeds, braking and inputs of all drives together."""
-    drives_with_speed = [drive for drive in drives if first_field_name(drive, CHASSIS_FIRST_SPEEDS) is not None]
-    speeds = [
-        drive.fields[first_field_name(drive, CHASSIS_FIRST_SPEEDS) or ""][moving_rows(drive)]
-        for drive in drives_with_speed
-    ]
+    known = [(drive, first_field_values(drive, CHASSIS_FIRST_SPEEDS)) for drive in drives]
+    moving = [(drive.dt_s, speed[moving_rows(drive)]) for drive, speed in known if speed is not None]
     logs = _name_logs(drives)
-    if not speeds:
+    if not moving:
         message = (
             f"{logs}: there is no speed ({' or '.join(CHASSIS_FIRST_SPEEDS)}), which all learning needs; record the "
             "message that carries it"
         )
         yield LogProblem("refuse", "no_speed", "", SPEED, message)
         return
-    speed = np.abs(np.concatenate(speeds))
-    moving_s = sum(len(values) * drive.dt_s for values, drive in zip(speeds, drives_with_speed, strict=True))
+    speed = np.abs(np.concatenate([values for _, values in moving]))
+    moving_s = sum(len(values) * dt_s for dt_s, values in moving)
     if moving_s < AMOUNT.min_moving_s:
         message = (
             f"{logs} hold {moving_s:.1f} s of driving above {MOVING_MPS:g} m/s: too short, at least "
@@ -346,8 +336,7 @@ def _check_speed_range(drives: Sequence[Drive], speed: Array) -> Iterator[LogPro
 def _check_braking(drives: Sequence[Drive], vehicle: VehicleSpec) -> Iterator[LogProblem]:
     """Whether the brake of a vehicle that has one was used while it moved."""
     is_accel_commanded = "accel_mps2" in vehicle.command
-    has_brake = "brake_frac" in vehicle.command or "brake_frac" in vehicle.report
-    if not (is_accel_commanded or has_brake):
+    if not (is_accel_commanded or has_brake(vehicle)):
         return
     field = "command.accel_mps2" if is_accel_commanded else BRAKE_FIELDS[0]
     pressed_frac, braking_s = vehicle.nominal.rest_pedal_frac + AMOUNT.min_pressed_frac, 0.0

@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tunefree_hil.learn.checks.problem import LogProblem, Severity
+from tunefree_hil.learn.checks.problem import LogProblem
 from tunefree_hil.learn.drives.drive import (
     CHASSIS_FIRST_SPEEDS,
     CHASSIS_FIRST_YAW_RATES,
     STEER_FIELDS,
+    Array,
     Drive,
     first_field_name,
     first_field_values,
@@ -21,7 +22,6 @@ from tunefree_hil.learn.drives.drive import (
 )
 from tunefree_hil.learn.drives.validity import valid_rows
 
-Array = np.ndarray
 Band = tuple[int, int, int]  # of the speed, of the steering angle, and the side
 
 
@@ -58,15 +58,7 @@ class _Quantity(NamedTuple):
     verb: str
     cause: str
     field: str
-
-
-class _Difference(NamedTuple):
-    """A drive that differs from another one by more than a limit."""
-
-    severity: Severity
-    ratio: float
-    drive: Drive
-    reference: Drive
+    limits: RatioLimits
 
 
 def check_same_vehicle(drives: Sequence[Drive]) -> Iterator[LogProblem]:
@@ -77,13 +69,11 @@ def check_same_vehicle(drives: Sequence[Drive]) -> Iterator[LogProblem]:
     max_rad = max((float(np.nanmax(angle, initial=0.0)) for angle in angles), default=0.0)
     responses = [_steering_response(drive, SAME_VEHICLE.min_steer_share * max_rad) for drive in drives]
     field = next((name for drive in drives if (name := first_field_name(drive, STEER_FIELDS))), STEER_FIELDS[0])
-    quantity = _Quantity("turns", "steering angle", field)
-    differences = _compare(drives, lambda i, j: _turn_ratio(responses[i], responses[j]), SAME_VEHICLE.steering)
-    yield from (_as_problem(difference, quantity) for difference in differences)
+    quantity = _Quantity("turns", "steering angle", field, SAME_VEHICLE.steering)
+    yield from _compare(drives, lambda i, j: _turn_ratio(responses[i], responses[j]), quantity)
     radii = [_wheel_radius(drive) for drive in drives]
-    quantity = _Quantity("drives", "turn of its wheels", "report.wheel_rl_radps")
-    differences = _compare(drives, lambda i, j: _ratio(radii[i], radii[j]), SAME_VEHICLE.wheels)
-    yield from (_as_problem(difference, quantity) for difference in differences)
+    quantity = _Quantity("drives", "turn of its wheels", "report.wheel_rl_radps", SAME_VEHICLE.wheels)
+    yield from _compare(drives, lambda i, j: _ratio(radii[i], radii[j]), quantity)
 
 
 def _check_duplicates(drives: Sequence[Drive]) -> Iterator[LogProblem]:
@@ -118,9 +108,9 @@ def _check_unknown_ids(drives: Sequence[Drive]) -> Iterator[LogProblem]:
 
 
 def _compare(
-    drives: Sequence[Drive], ratio: Callable[[int, int], float | None], limits: RatioLimits
-) -> Iterator[_Difference]:
-    """Compare each drive with the first earlier one that has a ratio to it; yields those beyond a limit."""
+    drives: Sequence[Drive], ratio: Callable[[int, int], float | None], quantity: _Quantity
+) -> Iterator[LogProblem]:
+    """Compare each drive with the first earlier one that has a ratio to it."""
     for i, drive in enumerate(drives):
         ratios = ((j, ratio(i, j)) for j in range(i))
         comparison = next(((j, value) for j, value in ratios if value is not None), None)
@@ -128,18 +118,14 @@ def _compare(
             continue
         j, value = comparison
         factor = max(value, 1.0 / value)
-        if factor > limits.warn:
-            yield _Difference("refuse" if factor > limits.refuse else "warn", value, drive, drives[j])
-
-
-def _as_problem(difference: _Difference, quantity: _Quantity) -> LogProblem:
-    drive, reference = difference.drive, difference.reference
-    message = (
-        f"{drive.path} {quantity.verb} {difference.ratio:.2f} times as much for the same {quantity.cause} as "
-        f"{reference.path} ({quantity.field}), but about 1 is expected: these are probably two vehicles; use the "
-        "logs of one"
-    )
-    return LogProblem(difference.severity, "two_vehicles", drive.name, quantity.field, message)
+        if factor > quantity.limits.warn:
+            message = (
+                f"{drive.path} {quantity.verb} {value:.2f} times as much for the same {quantity.cause} as "
+                f"{drives[j].path} ({quantity.field}), but about 1 is expected: these are probably two vehicles; use "
+                "the logs of one"
+            )
+            severity = "refuse" if factor > quantity.limits.refuse else "warn"
+            yield LogProblem(severity, "two_vehicles", drive.name, quantity.field, message)
 
 
 def _ratio(value: float | None, reference: float | None) -> float | None:

@@ -13,14 +13,13 @@ from tunefree_hil.learn.drives.drive import (
     CHASSIS_FIRST_SPEEDS,
     CHASSIS_FIRST_YAW_RATES,
     STEER_FIELDS,
+    Array,
     Drive,
     first_field_name,
     first_field_values,
     moving_rows,
 )
 from tunefree_hil.learn.drives.smoothing import estimate_quantum, estimate_rate
-
-Array = np.ndarray
 
 # A stuck echo has a separate code: commands may not have arrived, an effect that `gap` identifies.
 STUCK, ECHO_STUCK = "stuck", "echo_stuck"

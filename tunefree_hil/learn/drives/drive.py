@@ -38,7 +38,6 @@ class LogSummary(NamedTuple):
     backward_step_at_s: float
     max_forward_step_s: float
     forward_step_at_s: float
-    tick_text: str  # how stamps were converted to ticks
     is_truncated: bool  # the last line was incomplete and left out
 
 

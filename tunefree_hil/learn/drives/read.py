@@ -110,7 +110,7 @@ def _read_drive(path: Path, name: str, codec: Codec, report_share: Callable[[flo
     if times.by_frame:
         zero_s = choose_tick_origin((decoder.times_s for decoder in decoders.values()), dt_s, times.zero_s)
     grid = place_on_ticks(decoders.values(), dt_s, zero_s, times.late_ticks)
-    summary = _summarise_log(path, decoders.values(), statistics, times.words)
+    summary = _summarise_log(path, decoders.values(), statistics)
     samples = {field: column for decoder in decoders.values() for field, column in decoder.field_samples().items()}
     ages = measure_command_ages(samples) if times.by_frame else {}
     return Drive(name, _hash_log(path), dt_s, grid.fields, grid.fresh, grid.enabled, summary, ages)
@@ -210,9 +210,7 @@ def _hash_log(path: Path) -> str:
     return f"sha256:{digest.hexdigest()}"
 
 
-def _summarise_log(
-    path: Path, decoders: Iterable[MessageDecoder], statistics: LogStatistics, tick_text: str
-) -> LogSummary:
+def _summarise_log(path: Path, decoders: Iterable[MessageDecoder], statistics: LogStatistics) -> LogSummary:
     decoders = list(decoders)
     span_s = statistics.latest_s - statistics.earliest_s
     return LogSummary(
@@ -227,7 +225,6 @@ def _summarise_log(
         backward_step_at_s=statistics.backward_step_at_s,
         max_forward_step_s=statistics.max_forward_step_s,
         forward_step_at_s=statistics.forward_step_at_s,
-        tick_text=tick_text,
         is_truncated=not path.is_dir() and format_of(path) == CANDUMP and bool(cut_line(path)),
     )
 

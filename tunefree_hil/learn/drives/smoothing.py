@@ -9,10 +9,15 @@ import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from tunefree_hil.config.schema import NominalSpec
-from tunefree_hil.learn.drives.drive import CHASSIS_FIRST_SPEEDS, INS_FIRST_SPEEDS, Drive, DrivePart, first_valid_field
+from tunefree_hil.learn.drives.drive import (
+    CHASSIS_FIRST_SPEEDS,
+    INS_FIRST_SPEEDS,
+    Array,
+    Drive,
+    DrivePart,
+    first_valid_field,
+)
 from tunefree_hil.plant.measurement.sensors import NOISY
-
-Array = np.ndarray
 
 QUANTILE_95 = 1.6449  # of the standard normal distribution, one-sided
 
@@ -40,6 +45,17 @@ def interpolate_fresh(values: Array, fresh: Array) -> Array:
     return np.interp(np.arange(len(values)), ticks, values[ticks])
 
 
+def interpolate_from_first(drive: Drive, name: str) -> Array:
+    """A field on every tick, NaN before its first value; a heading is unwrapped."""
+    values, fresh = drive.fields[name], drive.fresh[name] & np.isfinite(drive.fields[name])
+    if name.endswith("heading_rad"):
+        values = values.copy()
+        values[fresh] = np.unwrap(values[fresh])
+    interpolated = interpolate_fresh(values, fresh)
+    interpolated[: int(np.argmax(fresh))] = np.nan
+    return interpolated
+
+
 def interpolate_first_field(drive: Drive, names: Sequence[str], ins_delay_rows: int) -> Array | None:
     """The first of these fields that has values, on every tick; that of the INS moved back by its delay."""
     name = first_valid_field(drive, names)
@@ -54,9 +70,9 @@ def shift_earlier(values: Array, rows: int) -> Array:
     return np.concatenate([values[rows:], np.full(rows, np.nan)]) if rows else values
 
 
-def smooth_signal(values: Array, window: int, order: int = 2) -> Array:
-    """A Savitzky-Golay filter over `window` rows; a shorter signal is returned unchanged."""
-    return np.asarray(savgol_filter(values, window, order)) if len(values) >= window else values.copy()
+def smooth_signal(values: Array, window: int) -> Array:
+    """A Savitzky-Golay filter of degree 2 over `window` rows; a shorter signal is returned unchanged."""
+    return np.asarray(savgol_filter(values, window, 2)) if len(values) >= window else values.copy()
 
 
 def estimate_rate(values: Array, fresh: Array, window: int, dt_s: float) -> Array:
@@ -65,8 +81,7 @@ def estimate_rate(values: Array, fresh: Array, window: int, dt_s: float) -> Arra
     if len(interpolated) < window or not np.isfinite(interpolated).all():
         return np.full(len(values), np.nan)
     rate = np.asarray(savgol_filter(interpolated, window, 2, deriv=1, delta=dt_s))
-    first = int(np.argmax(np.isfinite(values)))
-    rate[:first] = np.nan
+    rate[: int(np.argmax(np.isfinite(values)))] = np.nan
     return rate
 
 

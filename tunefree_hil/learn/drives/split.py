@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.learn.drives.drive import Array, Drive, DrivePart, DriveSplit
@@ -148,7 +149,7 @@ def _split_by_block(drives: Sequence[Drive], held_out: float, rng: np.random.Gen
         for block in chosen:
             is_held_out[edges[block] : edges[block + 1]] = True
         held_out_parts += [DrivePart(drive, *span) for span in find_runs(is_held_out)]
-        is_guarded = _widen(is_held_out, round(SPLIT.guard_s / drive.dt_s))
+        is_guarded = np.asarray(maximum_filter1d(is_held_out, 2 * round(SPLIT.guard_s / drive.dt_s) + 1), dtype=bool)
         training += [DrivePart(drive, *span) for span in find_runs(~is_guarded)]
         block_s = float(edges[1] - edges[0]) * drive.dt_s
         counts.append(f"{len(chosen)} of {count} blocks of {block_s:.0f} s of {drive.name}")
@@ -176,14 +177,6 @@ def _block_edges(drive: Drive) -> list[int]:
         )
     count = max(count, SPLIT.min_blocks)
     return [round(i * block_s / drive.dt_s) for i in range(count)] + [drive.n_rows]
-
-
-def _widen(flags: Array, margin: int) -> Array:
-    """True also within `margin` rows of a True."""
-    wide = np.zeros(len(flags), dtype=bool)
-    for begin, end in find_runs(flags):
-        wide[max(0, begin - margin) : end + margin] = True
-    return wide
 
 
 def _without_gaps(parts: Sequence[DrivePart], needed: Sequence[str], min_part_s: float) -> tuple[DrivePart, ...]:

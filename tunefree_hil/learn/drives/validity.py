@@ -19,11 +19,12 @@ from tunefree_hil.learn.drives.drive import (
     INS_FIRST_YAW_RATES,
     Array,
     Drive,
+    first_field_name,
     first_field_values,
     first_valid_field,
 )
 from tunefree_hil.learn.drives.runs import covered_rows, find_runs, sample_interval_ticks
-from tunefree_hil.learn.drives.smoothing import estimate_quantum, interpolate_fresh, shift_earlier
+from tunefree_hil.learn.drives.smoothing import estimate_quantum, interpolate_from_first, shift_earlier
 
 DRIVING_CHANNELS = ("throttle", "brake", "steer")
 POSITION_FIELDS = ("ins.x_m", "ins.y_m")
@@ -102,15 +103,7 @@ def interpolate_pose(drive: Drive) -> list[Array]:
 
     A held value would be late by up to the interval of the frames.
     """
-    pose = []
-    for name in POSE_FIELDS:
-        values, fresh = drive.fields[name].copy(), drive.fresh[name] & np.isfinite(drive.fields[name])
-        if name == POSE_FIELDS[0]:
-            values[fresh] = np.unwrap(values[fresh])
-        interpolated = interpolate_fresh(values, fresh)
-        interpolated[: int(np.argmax(fresh))] = np.nan
-        pose.append(interpolated)
-    return pose
+    return [interpolate_from_first(drive, name) for name in POSE_FIELDS]
 
 
 def actuation_valid_rows(drive: Drive, is_by_command: Sequence[Array]) -> Array:
@@ -133,7 +126,7 @@ def _command_valid_rows(drive: Drive, channel: str) -> Array:
     names = [f"report.{ECHOES[channel]}", f"command.{CHANNELS[channel]}"]
     if channel != "steer":
         names += [f"report.{ECHOES['accel']}", f"command.{CHANNELS['accel']}"]
-    name = next((name for name in names if name in drive.fields), None)
+    name = first_field_name(drive, names)
     return np.ones(drive.n_rows, dtype=bool) if name is None else valid_rows(drive, name)
 
 

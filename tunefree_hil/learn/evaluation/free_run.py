@@ -90,13 +90,24 @@ class FreeRunErrors(NamedTuple):
 
 
 class RunnableModel(NamedTuple):
-    """The chassis of a model, ready to run. takes_commands: the plant has no actuators (kind paper)."""
+    """The chassis of a model, ready to run.
 
-    kind: str
+    Attributes:
+        takes_commands: The plant has no actuators (kind paper).
+        rest_frac: Duty of a released pedal.
+        com_to_rear_m: Distance from the centre of mass to the rear axle.
+    """
+
     block: Any
     run: Callable[..., int]
     model: ModelSpec
     takes_commands: bool
+    rest_frac: float
+    com_to_rear_m: float
+
+    def actuator_outputs(self, track: MotionTrack) -> Array:
+        """As from `simulate_actuators`."""
+        return simulate_actuators(track, self.model, self.rest_frac, self.takes_commands)
 
 
 class RunSpan(NamedTuple):
@@ -133,12 +144,13 @@ def open_plant(model: ModelSpec) -> Plant:
     return plant
 
 
-def make_runnable(model: ModelSpec) -> RunnableModel:
+def make_runnable(model: ModelSpec, vehicle: VehicleSpec) -> RunnableModel:
     """The chassis of a model folder, with its effects on the body."""
     plant = open_plant(model)
     block = plant.make(model.plant.params, body_change(model))
     run = make_free_run_loop(block.step, plant.observe)
-    return RunnableModel(model.plant.kind, block, run, model, plant.actuators is not None)
+    rest_frac, com_to_rear_m = vehicle.nominal.rest_pedal_frac, com_to_rear_axle_m(vehicle.nominal)
+    return RunnableModel(block, run, model, plant.actuators is not None, rest_frac, com_to_rear_m)
 
 
 @kernel
@@ -189,9 +201,7 @@ def make_free_run_loop(step: Any, observe: Any) -> Callable[..., int]:
     return free_run_kernel
 
 
-def run_free(
-    runnable: RunnableModel, track: MotionTrack, actuator_outputs: Array, span: RunSpan, com_to_rear_m: float
-) -> Array:
+def run_free(runnable: RunnableModel, track: MotionTrack, actuator_outputs: Array, span: RunSpan) -> Array:
     """Free run over the rows of a span.
 
     Args:
@@ -199,7 +209,6 @@ def run_free(
         track: The measured motion.
         actuator_outputs: As from `simulate_actuators`.
         span: Rows of the track.
-        com_to_rear_m: Distance from the centre of mass to the rear axle.
 
     Returns:
         x, y, heading, speed, yaw rate, shape (n_rows, N_OUTPUTS); row 0 is measured.
@@ -207,7 +216,9 @@ def run_free(
     rows = span.rows
     motion = [track.x_m, track.y_m, track.heading_rad, track.speed_mps, track.yaw_rate_radps]
     measured = np.stack(motion, axis=1)[rows]
-    side_speed = com_to_rear_m * track.yaw_rate_radps[rows]  # of the centre of mass, without slip at the rear axle
+    side_speed = (
+        runnable.com_to_rear_m * track.yaw_rate_radps[rows]
+    )  # of the centre of mass, without slip at the rear axle
     kernel_motion = np.column_stack([measured[:, :4], side_speed, measured[:, 4], track.accel_mps2[rows]])
     inputs = np.column_stack([actuator_outputs[rows], track.grade_rad[rows]])
     start = Start(*(float(value) for value in measured[0, :4]))
@@ -232,25 +243,22 @@ def evaluate_free_run(
     Raises:
         InputError: There is no start.
     """
-    runnable = make_runnable(model)
-    rest = vehicle.nominal.rest_pedal_frac
-    com_to_rear_m = com_to_rear_axle_m(vehicle.nominal)
+    runnable = make_runnable(model, vehicle)
     starts = _select_starts(tracks, options)
-    outputs = {i: simulate_actuators(tracks[i], model, rest, runnable.takes_commands) for i in {i for i, _ in starts}}
+    outputs = {i: runnable.actuator_outputs(tracks[i]) for i in {i for i, _ in starts}}
     errors, one_step = [], []
     for i, row in starts:
         track = tracks[i]
-        warm_up_rows = round(WARM_UP_S / track.dt_s)
-        span = RunSpan(row - warm_up_rows, warm_up_rows, _good_rows_ahead(track, row, max(options.horizons_s)))
-        simulated = run_free(runnable, track, outputs[i], span, com_to_rear_m)
+        span = span_from_start(track, row, max(options.horizons_s))
+        simulated = run_free(runnable, track, outputs[i], span)
         horizons = [round(horizon_s / track.dt_s) for horizon_s in options.horizons_s]
-        errors.append(_errors_at_horizons(track, simulated[warm_up_rows:], row, horizons))
+        errors.append(_errors_at_horizons(track, simulated[span.warm_up_rows :], row, horizons))
         one_step.append(_one_step_errors(track, simulated, span))
     by_quantity = np.array(errors)  # shape (n_starts, 4, n_horizons)
     accel_mps2, yaw_rate_radps = np.sqrt((np.concatenate(one_step) ** 2).mean(axis=0)).tolist()
     on_hill = [is_hilly(tracks[i], row, round(HILL_AHEAD_S / tracks[i].dt_s)) for i, row in starts]
     return FreeRunErrors(
-        kind=runnable.kind,
+        kind=model.plant.kind,
         horizons_s=tuple(options.horizons_s),
         drive_names=tuple(tracks[i].name for i, _ in starts),
         is_on_hill=np.array(on_hill),
@@ -282,10 +290,12 @@ def _select_starts(tracks: Sequence[MotionTrack], options: EvaluationOptions) ->
     return starts
 
 
-def _good_rows_ahead(track: MotionTrack, row: int, horizon_s: float) -> int:
-    """Usable rows ahead, up to the horizon."""
+def span_from_start(track: MotionTrack, row: int, horizon_s: float) -> RunSpan:
+    """The free run from a row on, up to the horizon or the last usable row."""
+    warm_up_rows = round(WARM_UP_S / track.dt_s)
     good = track.is_good[row : row + round(horizon_s / track.dt_s) + 1]
-    return int(np.argmin(good)) - 1 if not good.all() else len(good) - 1
+    free_rows = len(good) - 1 if good.all() else int(np.argmin(good)) - 1
+    return RunSpan(row - warm_up_rows, warm_up_rows, free_rows)
 
 
 def _errors_at_horizons(track: MotionTrack, simulated: Array, row: int, horizons: Sequence[int]) -> list[list[float]]:
@@ -333,15 +343,11 @@ def run_headings(
     models: Mapping[str, ModelSpec], vehicle: VehicleSpec, track: MotionTrack, row: int, seconds: float
 ) -> dict[str, Array]:
     """Heading of each model in a free run from a start, rad, one value a tick (Fig. 3b of the Baidu paper)."""
-    rest = vehicle.nominal.rest_pedal_frac
-    com_to_rear_m = com_to_rear_axle_m(vehicle.nominal)
-    warm_up_rows = round(WARM_UP_S / track.dt_s)
-    span = RunSpan(row - warm_up_rows, warm_up_rows, _good_rows_ahead(track, row, seconds))
+    span = span_from_start(track, row, seconds)
     headings = {}
     for name, model in models.items():
-        runnable = make_runnable(model)
-        outputs = simulate_actuators(track, model, rest, runnable.takes_commands)
-        headings[name] = run_free(runnable, track, outputs, span, com_to_rear_m)[warm_up_rows:, 2]
+        runnable = make_runnable(model, vehicle)
+        headings[name] = run_free(runnable, track, runnable.actuator_outputs(track), span)[span.warm_up_rows :, 2]
     return headings
 
 
@@ -388,10 +394,14 @@ def mean_interval(values: Array, drives: Array, seed: int = 1) -> tuple[float, f
     totals, counts = _sum_by_drive(values, drives)
     if len(totals) < MIN_BOOTSTRAP_DRIVES:
         return ratio_interval(totals, counts)
-    picks = np.random.default_rng(seed).integers(0, len(totals), (N_RESAMPLES, len(totals)))
-    means = totals[picks].sum(axis=1) / counts[picks].sum(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
+    low, high = np.percentile(_resample_ratio(totals, counts, seed), [2.5, 97.5])
     return float(low), float(high)
+
+
+def _resample_ratio(parts: Array, wholes: Array, seed: int) -> Array:
+    """sum(parts) / sum(wholes) of drives that are drawn with replacement, shape (N_RESAMPLES,)."""
+    picks = np.random.default_rng(seed).integers(0, len(parts), (N_RESAMPLES, len(parts)))
+    return parts[picks].sum(axis=1) / wholes[picks].sum(axis=1)
 
 
 def ratio_interval(parts: Array, wholes: Array) -> tuple[float, float]:
@@ -436,10 +446,9 @@ def error_reduction(
     reference_sums, counts = _sum_by_drive(reference_m[rows], drives)
     value = 100.0 * (1.0 - float(sums.sum()) / float(reference_sums.sum()))
     if len(counts) < MIN_BOOTSTRAP_DRIVES:
-        ends = (100.0 * (1.0 - end) for end in ratio_interval(sums, reference_sums)[::-1])
-        low, high = (None if math.isnan(end) else end for end in ends)
-        return {"value": value, "low": low, "high": high, "n": int(rows.sum())}
-    picks = np.random.default_rng(seed).integers(0, len(counts), (N_RESAMPLES, len(counts)))
-    resampled = 100.0 * (1.0 - sums[picks].sum(axis=1) / reference_sums[picks].sum(axis=1))
-    low, high = np.percentile(resampled, [2.5, 97.5])
-    return {"value": value, "low": float(low), "high": float(high), "n": int(rows.sum())}
+        ends = [100.0 * (1.0 - end) for end in ratio_interval(sums, reference_sums)[::-1]]
+    else:
+        resampled = 100.0 * (1.0 - _resample_ratio(sums, reference_sums, seed))
+        ends = np.percentile(resampled, [2.5, 97.5]).tolist()
+    low, high = (None if math.isnan(end) else end for end in ends)
+    return {"value": value, "low": low, "high": high, "n": int(rows.sum())}

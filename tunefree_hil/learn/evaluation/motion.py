@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from tunefree_hil.base import parts
 from tunefree_hil.base.contracts import BodyChange, make_effect
@@ -74,9 +75,7 @@ class MotionTrack(NamedTuple):
         name: Drive.
         log_hash: Of its log.
         begin: Row of the drive.
-        dt_s: Tick.
         speed_mps: Smoothed (Savitzky-Golay), like yaw rate and acceleration.
-        yaw_rate_radps: Smoothed.
         accel_mps2: Rate of speed, smoothed.
         heading_rad: Continuous.
         x_m: Position of the rear axle.
@@ -86,7 +85,6 @@ class MotionTrack(NamedTuple):
         recorded: Reported outputs, shape (n_rows, 3), NaN where none are reported.
         follows_command: Whether the command acted, shape (n_rows, 3); else only the recorded output is known.
         is_good: Usable rows.
-        has_measured_pose: False: position and heading are integrated from speed and yaw rate.
         accel_demand_mps2: Of a vehicle with commanded acceleration; its pedals in `commands` are those of
             plant/actuation/acceleration_interface.py.
     """
@@ -106,7 +104,6 @@ class MotionTrack(NamedTuple):
     recorded: Array
     follows_command: Array
     is_good: Array
-    has_measured_pose: bool
     accel_demand_mps2: Array | None = None
 
     @property
@@ -185,7 +182,6 @@ def make_motion_track(part: DrivePart, vehicle: VehicleSpec, road_share: float =
         recorded=recorded,
         follows_command=is_actuated,
         is_good=good,
-        has_measured_pose=pose.is_measured,
         accel_demand_mps2=None if demand is None else demand[cut],
     )
 
@@ -199,8 +195,6 @@ def _smoothed_motion(part: DrivePart, vehicle: VehicleSpec, ins_delay_rows: int)
 
 def smooth_motion_signal(values: Array, dt_s: float = 0.0) -> Array:
     """Savitzky-Golay filter over finite rows, or with dt_s their rate per s; NaN in runs below SMOOTHING_ROWS."""
-    from scipy.signal import savgol_filter
-
     smoothed = np.full(len(values), np.nan)
     for begin, end in find_runs(np.isfinite(values)):
         if end - begin >= SMOOTHING_ROWS:
@@ -295,18 +289,13 @@ def simulate_actuators(track: MotionTrack, model: ModelSpec, rest: float, takes_
         rest: Duty of a released pedal.
         takes_commands: The plant takes commands and has no actuators (kind paper).
     """
-    outputs = np.stack(
-        [
-            _recorded_outputs(track, model, i, 0.0 if name == "steer" else rest)
-            for i, name in enumerate(DRIVING_CHANNELS)
-        ],
-        axis=1,
-    )
+    outputs = np.empty((track.n_rows, len(DRIVING_CHANNELS)))
     by_accel = track.accel_demand_mps2 is not None and not takes_commands
     for column, name in enumerate(DRIVING_CHANNELS):
+        idle = 0.0 if name == "steer" else rest
+        outputs[:, column] = _recorded_outputs(track, model, column, idle)
         if by_accel and name != "steer":
             continue
-        idle = 0.0 if name == "steer" else rest
         for begin, end in find_runs(track.follows_command[:, column]):
             commands = track.commands[begin:end, column]
             block = _make_channel_block(model, name, idle, float(commands[0]), takes_commands)

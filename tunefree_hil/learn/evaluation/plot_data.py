@@ -35,7 +35,6 @@ class ConstantComparison(NamedTuple):
         after_by_time: Likewise.
         before: RMS by target.
         after: RMS by target.
-        n_windows: Number of windows.
     """
 
     time_s: Array

@@ -12,10 +12,9 @@ import numpy as np
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec
-from tunefree_hil.learn.data_sheet import com_to_rear_axle_m
 from tunefree_hil.learn.drives.drive import Array
-from tunefree_hil.learn.evaluation.free_run import WARM_UP_S, RunnableModel, RunSpan, make_runnable, run_free
-from tunefree_hil.learn.evaluation.motion import MotionTrack, find_starts, simulate_actuators
+from tunefree_hil.learn.evaluation.free_run import WARM_UP_S, RunnableModel, make_runnable, run_free, span_from_start
+from tunefree_hil.learn.evaluation.motion import MotionTrack, find_starts
 
 SPEED, YAW = 3, 4  # columns of `run_free`
 CONSTANT_SPEED = "keeps its speed"
@@ -27,7 +26,6 @@ class VelocityTrace(NamedTuple):
 
     Attributes:
         name: Drive.
-        time_s: Since the start.
         speed_mps: Measured.
         yaw_rate_radps: Measured.
         speeds: By model.
@@ -65,7 +63,6 @@ def evaluate_velocities(
     vehicle: VehicleSpec,
     tracks: Sequence[MotionTrack],
     every_s: float = 0.5,
-    horizons_s: tuple[float, ...] = HORIZONS_S,
 ) -> Generator[str, None, VelocityErrors]:
     """Run all models from all starts, `every_s` apart; yields the name of each stretch when it is done.
 
@@ -75,26 +72,26 @@ def evaluate_velocities(
     drive_names: list[str] = []
     longest: list[VelocityTrace] = []
     errors: dict[str, list[Array]] = {name: [] for name in (*models, CONSTANT_SPEED)}
-    runnables = {name: make_runnable(model) for name, model in models.items()}
+    runnables = {name: make_runnable(model, vehicle) for name, model in models.items()}
     for track in tracks:
-        traces = _run_track(runnables, vehicle, track, every_s, horizons_s)
+        traces = _run_track(runnables, track, every_s)
         for trace in traces:
             drive_names.append(track.name)
             for name in errors:
-                errors[name].append(_trace_errors(trace, name, horizons_s, track.dt_s))
+                errors[name].append(_trace_errors(trace, name, track.dt_s))
         if traces:
             longest.append(max(traces, key=lambda trace: len(trace.time_s)))
         yield track.name
     if not drive_names:
         raise InputError(
-            f"no stretch has {WARM_UP_S + min(horizons_s):g} s without a gap, in motion with known inputs",
+            f"no stretch has {WARM_UP_S + min(HORIZONS_S):g} s without a gap, in motion with known inputs",
             code="too_short",
             key="LOG",
             hint="record longer drives for the evaluation",
         )
     by_model = {name: np.array(rows) for name, rows in errors.items()}  # shape (n_starts, 2, n_horizons)
     return VelocityErrors(
-        horizons_s=tuple(horizons_s),
+        horizons_s=HORIZONS_S,
         drive_names=tuple(drive_names),
         speed_mps={name: array[:, 0] for name, array in by_model.items()},
         yaw_rate_radps={name: array[:, 1] for name, array in by_model.items()},
@@ -102,37 +99,18 @@ def evaluate_velocities(
     )
 
 
-def _run_track(
-    runnables: Mapping[str, RunnableModel],
-    vehicle: VehicleSpec,
-    track: MotionTrack,
-    every_s: float,
-    horizons_s: tuple[float, ...],
-) -> list[VelocityTrace]:
+def _run_track(runnables: Mapping[str, RunnableModel], track: MotionTrack, every_s: float) -> list[VelocityTrace]:
     """The free runs of all models from each start of a stretch."""
-    warm_up_rows, min_rows = round(WARM_UP_S / track.dt_s), round(min(horizons_s) / track.dt_s)
-    rest = vehicle.nominal.rest_pedal_frac
-    com_to_rear_m = com_to_rear_axle_m(vehicle.nominal)
-    outputs = {
-        name: simulate_actuators(track, runnable.model, rest, runnable.takes_commands)
-        for name, runnable in runnables.items()
-    }
+    warm_up_rows, min_rows = round(WARM_UP_S / track.dt_s), round(min(HORIZONS_S) / track.dt_s)
+    outputs = {name: runnable.actuator_outputs(track) for name, runnable in runnables.items()}
     traces = []
     for row in find_starts(track, warm_up_rows, min_rows, max(round(every_s / track.dt_s), 1)):
-        free_rows = min(good_rows_after(track, row), round(max(horizons_s) / track.dt_s))
-        span = RunSpan(row - warm_up_rows, warm_up_rows, free_rows)
+        span = span_from_start(track, row, max(HORIZONS_S))
         runs = {
-            name: run_free(runnable, track, outputs[name], span, com_to_rear_m)[warm_up_rows:]
-            for name, runnable in runnables.items()
+            name: run_free(runnable, track, outputs[name], span)[warm_up_rows:] for name, runnable in runnables.items()
         }
-        traces.append(make_trace(track, row, free_rows, runs))
+        traces.append(make_trace(track, row, span.free_rows, runs))
     return traces
-
-
-def good_rows_after(track: MotionTrack, row: int) -> int:
-    """Number of usable rows after a start."""
-    good = track.is_good[row:]
-    return len(good) - 1 if good.all() else int(np.argmin(good)) - 1
 
 
 def make_trace(track: MotionTrack, row: int, free_rows: int, runs: Mapping[str, Array]) -> VelocityTrace:
@@ -145,10 +123,10 @@ def make_trace(track: MotionTrack, row: int, free_rows: int, runs: Mapping[str, 
     return VelocityTrace(track.name, time_s, speed, yaw, speeds, yaws)
 
 
-def _trace_errors(trace: VelocityTrace, name: str, horizons_s: Sequence[float], dt_s: float) -> Array:
+def _trace_errors(trace: VelocityTrace, name: str, dt_s: float) -> Array:
     """Absolute errors of speed and yaw rate, shape (2, n_horizons)."""
-    errors = np.full((2, len(horizons_s)), np.nan)
-    for column, seconds in enumerate(horizons_s):
+    errors = np.full((2, len(HORIZONS_S)), np.nan)
+    for column, seconds in enumerate(HORIZONS_S):
         k = round(seconds / dt_s)
         if k < len(trace.time_s):
             errors[0, column] = abs(trace.speeds[name][k] - trace.speed_mps[k])

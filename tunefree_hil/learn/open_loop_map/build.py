@@ -10,7 +10,7 @@ acceleration at held pedals on a level, straight road. Standstill is left out, s
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from tunefree_hil.learn.open_loop_map.samples import (
     PEDALS,
     ActuationDelay,
     MapSamples,
+    find_pedal_range,
     identify_delay,
     make_pedal_tracks,
     make_samples,
@@ -38,10 +39,12 @@ from tunefree_hil.learn.open_loop_map.samples import (
 from tunefree_hil.learn.open_loop_map.table import (
     MIN_ACCEL_STEP_MPS2,
     MapGrid,
+    MapPoint,
     MapTable,
     PedalNet,
     average_nets,
     make_grid,
+    skip_dead_band,
     table_from_grid,
 )
 from tunefree_hil.learn.training import map_nets
@@ -57,7 +60,6 @@ SWEEP_SPEEDS_MPS += (12.0, 14.0, 16.0, 18.0, 20.0, 22.5, 25.0, 27.5, 30.0)
 N_FINE_STEPS = 16  # from rest on, where the pedals begin to act
 FINE_FRAC, COARSE_FRAC = 0.005, 0.02
 
-Result = TypeVar("Result")
 SteadyAccel = Callable[[float, float, float], float]  # (speed, throttle duty, brake duty) -> m/s2
 
 
@@ -73,11 +75,9 @@ class PedalSelection(NamedTuple):
     """The net of a pedal, the mean over seeds at the selected width.
 
     Attributes:
-        net: The mean net.
         width: Hidden units of each seed's net.
         held_out_mps2: RMS over held-out cells.
         by_width: The same of each seed's net, by width.
-        points: All points of the pedal.
         is_complete: False: a training diverged to values that are not finite, and was stopped.
     """
 
@@ -177,7 +177,7 @@ def train_nets(points: Mapping[str, CellPoints], seed: int) -> Generator[MapProg
         rng = np.random.default_rng([seed, 10 + number])
         training, held_out = split_holdout(points[pedal], N_HOLDOUT_PARTS, 0, rng)
         candidates = []
-        for candidate in map_nets.train_all_widths(training, held_out, scales, seed):
+        for candidate in map_nets.train_all_widths(map_nets.MapNetData(training, held_out, scales), seed):
             candidates.append(candidate)
             error = f"{candidate.held_out_mps2:.3f} m/s² on held-out cells"
             message = f"{pedal}: {candidate.net.width} hidden units, {error}"
@@ -194,7 +194,8 @@ def _select_pedal_net(
 ) -> PedalSelection:
     best, error = map_nets.select_width(candidates, held_out)
     width = best[0].net.width
-    final = [map_nets.train_map_net(points, None, scales, width, net.seed, max(net.rounds, 1)) for net in best]
+    data = map_nets.MapNetData(points, None, scales)
+    final = [map_nets.train_map_net(data, width, net.seed, max(net.rounds, 1)) for net in best]
     by_width = {
         hidden: tuple(net.held_out_mps2 for net in candidates if net.net.width == hidden)
         for hidden in map_nets.HIDDEN_WIDTHS
@@ -202,15 +203,6 @@ def _select_pedal_net(
     nets = [trained.net for trained in final if trained.is_complete] or [trained.net for trained in best]
     is_complete = all(trained.is_complete for trained in (*candidates, *final))
     return PedalSelection(average_nets(nets), width, error, by_width, points, is_complete)
-
-
-def exhaust(steps: Generator[MapProgress, None, Result]) -> Result:
-    """The result of a generator, without its progress."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            return end.value
 
 
 def require_enough_cells(points: CellPoints, edges: CellEdges, pedal: str) -> None:
@@ -252,25 +244,15 @@ def sweep_pedals(
     """
     triples = []
     for speed in speeds:
-        brakes = [(steady_accel_law(speed, throttle.rest_frac, duty), -duty) for duty in brake.duties()]
-        throttles = [(steady_accel_law(speed, duty, brake.rest_frac), duty) for duty in throttle.duties()]
-        braking, pushing = _effective_points(brakes, -1.0), _effective_points(throttles, 1.0)
-        coasting = braking[0][0]
-        braking[0] = (coasting - 0.5 * MIN_ACCEL_STEP_MPS2, braking[0][1])
-        triples += [MapTriple(speed, accel, command) for accel, command in reversed(braking)]
-        triples += [MapTriple(speed, accel, command) for accel, command in pushing]
+        brakes = [MapPoint(steady_accel_law(speed, throttle.rest_frac, duty), -duty) for duty in brake.duties()]
+        throttles = [MapPoint(steady_accel_law(speed, duty, brake.rest_frac), duty) for duty in throttle.duties()]
+        brakes, throttles = (
+            skip_dead_band(brakes, -1.0, MIN_ACCEL_STEP_MPS2),
+            skip_dead_band(throttles, 1.0, MIN_ACCEL_STEP_MPS2),
+        )
+        brakes[0] = brakes[0]._replace(accel_mps2=brakes[0].accel_mps2 - 0.5 * MIN_ACCEL_STEP_MPS2)
+        triples += [MapTriple(speed, point.accel_mps2, point.command_frac) for point in (*brakes[::-1], *throttles)]
     return triples
-
-
-def _effective_points(points: list[tuple[float, float]], sign: float) -> list[tuple[float, float]]:
-    """(acceleration, command) points from the end of the dead band, each MIN_ACCEL_STEP further."""
-    first = points[0][0]
-    idle = [point for point in points if sign * (point[0] - first) < MIN_ACCEL_STEP_MPS2]
-    effective = [(first, idle[-1][1])]
-    for accel, command in points:
-        if sign * (accel - effective[-1][0]) >= MIN_ACCEL_STEP_MPS2:
-            effective.append((accel, command))
-    return effective
 
 
 def sample_plant_map(
@@ -297,9 +279,8 @@ def sample_plant_map(
         pedals = applied("throttle", throttle_frac), applied("brake", brake_frac)
         return steady_accel(plant, params, speed_mps, *pedals)
 
-    rest_frac = vehicle.nominal.rest_pedal_frac
-    throttle = PedalRange(rest_frac, vehicle.limits.throttle_frac)
-    return sweep_pedals(steady_accel_law, throttle, PedalRange(rest_frac, vehicle.limits.brake_frac))
+    throttle, brake = (PedalRange(*find_pedal_range(vehicle, pedal)) for pedal in PEDALS)
+    return sweep_pedals(steady_accel_law, throttle, brake)
 
 
 def arrays_from_triples(triples: Sequence[MapTriple]) -> dict[str, np.ndarray]:

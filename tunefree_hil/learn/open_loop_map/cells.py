@@ -48,9 +48,6 @@ class CellPoints(NamedTuple):
     """Samples of one pedal in their cells, arrays of shape (n_points,).
 
     Attributes:
-        speed_mps: Speed.
-        command_frac: Duty.
-        accel_mps2: Acceleration.
         cell: Number of the cell.
         weight: The points of a cell weigh 1 together, or less.
     """

@@ -12,18 +12,25 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.signal import savgol_filter
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.records import GEAR_DRIVE
 from tunefree_hil.learn.data_sheet import read_channel_sheet
-from tunefree_hil.learn.drives.drive import CHASSIS_FIRST_SPEEDS, Drive, first_field_name
+from tunefree_hil.learn.drives.drive import (
+    CHASSIS_FIRST_SPEEDS,
+    CHASSIS_FIRST_YAW_RATES,
+    Array,
+    Drive,
+    first_field_name,
+    first_field_values,
+)
 from tunefree_hil.learn.drives.runs import true_throughout
 from tunefree_hil.learn.drives.validity import valid_rows
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import VehicleSpec
-
-Array = np.ndarray
 
 THROTTLE, BRAKE = "throttle", "brake"
 PEDALS = (THROTTLE, BRAKE)
@@ -84,9 +91,7 @@ class MapSamples(NamedTuple):
     """Samples of the map, arrays of shape (n_samples,).
 
     Attributes:
-        speed_mps: Speed.
         command_frac: Duty of the pressed pedal, or at rest.
-        accel_mps2: Acceleration.
         pedal: +1 throttle, -1 brake, 0 both released.
         is_held: 1 where the pedal hardly moved, so that no lag blurs its effect; else 0.
     """
@@ -114,9 +119,6 @@ class PedalTrack(NamedTuple):
     """Longitudinal signals of a drive on its ticks.
 
     Attributes:
-        name: Drive.
-        dt_s: Tick.
-        speed_mps: Speed.
         accel_mps2: Rate of speed.
         pedals: Duty by 'throttle' and 'brake', never below rest.
         is_good: Usable rows.
@@ -246,8 +248,6 @@ def _make_track_samples(track: PedalTrack, delays: Mapping[str, ActuationDelay],
 
 def is_pedal_held(duty: Array, max_move: float, dt_s: float) -> Array:
     """1.0 in rows at which the duty moved by at most `max_move` during hold_time_s and the smoothing; else 0.0."""
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d
-
     ahead = round(0.5 * SMOOTHING_S / dt_s)
     before = round(ROWS.hold_time_s / dt_s) + ahead
     rows = before + ahead + 1
@@ -339,11 +339,12 @@ def make_pedal_track(drive: Drive, vehicle: VehicleSpec) -> PedalTrack:
     Raises:
         InputError: It has no speed or no pedal.
     """
-    speed = _first_field(drive, *CHASSIS_FIRST_SPEEDS)
-    if speed is None:
+    speed_name = first_field_name(drive, CHASSIS_FIRST_SPEEDS)
+    if speed_name is None:
         raise InputError(
             "the log holds no speed", code="no_speed", file=drive.name, hint="the map needs report.speed_mps"
         )
+    speed = drive.fields[speed_name]
     accel = derive_acceleration(drive, speed, vehicle)
     pedals, is_actuated = {}, np.ones(drive.n_rows, dtype=bool)
     for pedal in PEDALS:
@@ -353,14 +354,13 @@ def make_pedal_track(drive: Drive, vehicle: VehicleSpec) -> PedalTrack:
     known = np.isfinite(speed) & np.isfinite(accel) & np.isfinite(pedals["throttle"]) & np.isfinite(pedals["brake"])
     moving = known & (np.nan_to_num(speed) >= ROWS.min_speed_mps)
     straight = moving & is_straight(drive, vehicle)
-    good = straight & is_actuated & is_level(drive, accel) & _is_forward(drive)
-    good &= valid_rows(drive, *(name for name in (first_field_name(drive, CHASSIS_FIRST_SPEEDS),) if name))
+    good = straight & is_actuated & is_level(drive, accel) & _is_forward(drive) & valid_rows(drive, speed_name)
     return PedalTrack(
         name=drive.name,
         dt_s=drive.dt_s,
-        speed_mps=_zero_filled(speed),
-        accel_mps2=_zero_filled(accel),
-        pedals={name: _zero_filled(values) for name, values in pedals.items()},
+        speed_mps=np.nan_to_num(speed),
+        accel_mps2=np.nan_to_num(accel),
+        pedals={name: np.nan_to_num(values) for name, values in pedals.items()},
         is_good=good,
         is_moving=moving,
         is_straight=straight,
@@ -402,23 +402,21 @@ def derive_acceleration(drive: Drive, speed: Array, vehicle: VehicleSpec) -> Arr
     reported = drive.get("ins.accel_mps2")
     if reported is not None and not vehicle.ins["accel_mps2"].specific_force:
         return reported
-    from scipy.signal import savgol_filter
-
     window = 2 * round(0.5 * RATE_WINDOW_S / drive.dt_s) + 1
     if drive.n_rows < window:
         return np.full(drive.n_rows, np.nan)
-    rate = np.asarray(savgol_filter(_zero_filled(speed), window, RATE_ORDER, deriv=1, delta=drive.dt_s))
+    rate = np.asarray(savgol_filter(np.nan_to_num(speed), window, RATE_ORDER, deriv=1, delta=drive.dt_s))
     return np.where(np.isfinite(speed), rate, np.nan)
 
 
 def is_straight(drive: Drive, vehicle: VehicleSpec) -> Array:
     """Rows with the steering wheel centred, or turned a little with hardly any lateral acceleration."""
-    steer = _first_field(drive, "report.steer_rad", "command.steer_rad")
+    steer = first_field_values(drive, ("report.steer_rad", "command.steer_rad"))
     lateral = _lateral_acceleration(drive)
-    share = None if steer is None else np.abs(_zero_filled(steer)) / vehicle.limits.steer_rad
+    share = None if steer is None else np.abs(np.nan_to_num(steer)) / vehicle.limits.steer_rad
     gentle = None
     if lateral is not None:
-        gentle = np.abs(moving_mean(_zero_filled(lateral), SMOOTHING_S, drive.dt_s)) < ROWS.max_gentle_lateral_mps2
+        gentle = np.abs(moving_mean(np.nan_to_num(lateral), SMOOTHING_S, drive.dt_s)) < ROWS.max_gentle_lateral_mps2
     if share is None:
         return np.ones(drive.n_rows, dtype=bool) if gentle is None else gentle
     centred = share < ROWS.max_straight_steer_share
@@ -430,8 +428,8 @@ def _lateral_acceleration(drive: Drive) -> Array | None:
     reported = drive.get("report.lateral_accel_mps2")
     if reported is not None:
         return reported
-    speed = _first_field(drive, *CHASSIS_FIRST_SPEEDS)
-    yaw_rate = _first_field(drive, "report.yaw_rate_radps", "ins.yaw_rate_radps")
+    speed = first_field_values(drive, CHASSIS_FIRST_SPEEDS)
+    yaw_rate = first_field_values(drive, CHASSIS_FIRST_YAW_RATES)
     return None if speed is None or yaw_rate is None else speed * yaw_rate
 
 
@@ -444,7 +442,7 @@ def is_level(drive: Drive, accel: Array) -> Array:
     force = drive.get("report.accel_mps2")
     if force is None:
         return np.ones(drive.n_rows, dtype=bool)
-    gravity = _zero_filled(force - accel)
+    gravity = np.nan_to_num(force - accel)
     known = np.isfinite(force - accel)
     offset = float(np.median(gravity[known])) if known.any() else 0.0
     return np.abs(moving_mean(gravity - offset, ROWS.grade_filter_s, drive.dt_s)) < ROWS.max_grade_accel_mps2
@@ -452,17 +450,7 @@ def is_level(drive: Drive, accel: Array) -> Array:
 
 def _is_forward(drive: Drive) -> Array:
     gear = drive.get("report.gear")
-    return np.ones(drive.n_rows, dtype=bool) if gear is None else _zero_filled(gear) >= GEAR_DRIVE
-
-
-def _first_field(drive: Drive, *names: str) -> Array | None:
-    """The first of these fields that the drive has."""
-    return next((values for name in names if (values := drive.get(name)) is not None), None)
-
-
-def _zero_filled(values: Array) -> Array:
-    """The values with 0 for NaN, in rows that are not used."""
-    return np.nan_to_num(values, nan=0.0)
+    return np.ones(drive.n_rows, dtype=bool) if gear is None else np.nan_to_num(gear) >= GEAR_DRIVE
 
 
 def moving_mean(values: Array, window_s: float, dt_s: float) -> Array:

@@ -32,10 +32,7 @@ class MapGrid(NamedTuple):
     """Accelerations over speed and signed command (brake negative), both ascending.
 
     Attributes:
-        speed_mps: Shape (n_rows,).
         command_frac: Shape (n_columns,); 0 where both pedals are at rest.
-        rest_column: The column with both pedals at rest.
-        rest_frac: Duty at rest.
         accel_mps2: Shape (n_rows, n_columns).
         support: SUPPORTED, INTERPOLATED or EXTRAPOLATED, shape (n_rows, n_columns).
     """
@@ -62,7 +59,7 @@ class MapPoint(NamedTuple):
 
     accel_mps2: float
     command_frac: float
-    support: float
+    support: float = SUPPORTED
 
 
 class _PedalSide(NamedTuple):
@@ -160,27 +157,34 @@ def invert_row(accels: Array, commands: Array, support: Array, rest_column: int,
     Coasting appears twice, slightly apart: with the end of the brake's dead band and with that of the throttle's, so
     that both are exact in the look-up.
     """
-    coasting = float(accels[rest_column])
-    duties = np.where(np.arange(len(commands)) == rest_column, rest_frac, commands)
-    throttle_points = _effective_points(accels[rest_column:], duties[rest_column:], support[rest_column:], 1.0)
-    brakes = np.concatenate([[-rest_frac], commands[:rest_column][::-1]])
-    brake_points = _effective_points(accels[rest_column::-1], brakes, support[rest_column::-1], -1.0)
-    brake_points[0] = brake_points[0]._replace(accel_mps2=coasting - 0.5 * MIN_ACCEL_STEP_MPS2)
+    points = [MapPoint(*map(float, numbers)) for numbers in zip(accels, commands, support, strict=True)]
+    at_rest = points[rest_column]
+    throttles = [at_rest._replace(command_frac=rest_frac), *points[rest_column + 1 :]]
+    brakes = [at_rest._replace(command_frac=-rest_frac), *reversed(points[:rest_column])]
+    throttles = skip_dead_band(throttles, 1.0, MAX_IDLE_ACCEL_MPS2)
+    brakes = skip_dead_band(brakes, -1.0, MAX_IDLE_ACCEL_MPS2)
+    brakes[0] = brakes[0]._replace(accel_mps2=at_rest.accel_mps2 - 0.5 * MIN_ACCEL_STEP_MPS2)
     # With rest at duty 0 and no dead band one point suffices.
-    if brake_points[0].command_frac >= throttle_points[0].command_frac:
-        brake_points = brake_points[1:]
-    return [*reversed(brake_points), *throttle_points]
+    if brakes[0].command_frac >= throttles[0].command_frac:
+        brakes = brakes[1:]
+    return [*reversed(brakes), *throttles]
 
 
-def _effective_points(accels: Array, commands: Array, support: Array, sign: float) -> list[MapPoint]:
-    """Points from the end of the dead band on, each MIN_ACCEL_STEP_MPS2 further; the first of equal ones."""
-    coasting = float(accels[0])
-    idle = int(np.flatnonzero(sign * (accels - coasting) < MAX_IDLE_ACCEL_MPS2)[-1])
-    points = [MapPoint(coasting, float(commands[idle]), float(support[idle]))]
-    for accel, command, node in zip(accels[idle + 1 :], commands[idle + 1 :], support[idle + 1 :], strict=True):
-        if sign * (float(accel) - points[-1].accel_mps2) >= MIN_ACCEL_STEP_MPS2:
-            points.append(MapPoint(float(accel), float(command), float(node)))
-    return points
+def skip_dead_band(points: Sequence[MapPoint], sign: float, max_idle_mps2: float) -> list[MapPoint]:
+    """Points from the end of the dead band on, each MIN_ACCEL_STEP_MPS2 further; the first of equal ones.
+
+    Args:
+        points: Of one pedal, from rest on.
+        sign: Of the acceleration by the pedal.
+        max_idle_mps2: A change of the acceleration by less is in the dead band.
+    """
+    coasting = points[0].accel_mps2
+    idle = max(i for i, point in enumerate(points) if sign * (point.accel_mps2 - coasting) < max_idle_mps2)
+    effective = [points[idle]._replace(accel_mps2=coasting)]
+    for point in points[idle + 1 :]:
+        if sign * (point.accel_mps2 - effective[-1].accel_mps2) >= MIN_ACCEL_STEP_MPS2:
+            effective.append(point)
+    return effective
 
 
 def law_from_calibration(calibration: CalibrationMap, pedal: str) -> AccelerationLaw:

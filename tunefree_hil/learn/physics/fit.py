@@ -146,7 +146,9 @@ def fit_physics(
         fewer = [name for name in names if name != POWERTRAIN_LAG]
         fit = solve_problem(problem, fewer, np.delete(fit.x, names.index(POWERTRAIN_LAG)), 15)
         result = yield from _estimate_constants(problem, fewer, fit, rms_before, windows.notes)
-        result.estimates[POWERTRAIN_LAG] = _keep_prior(problem, POWERTRAIN_LAG, {})._replace(why=NOT_SIGNIFICANT)
+        result.estimates[POWERTRAIN_LAG] = _keep_prior(problem, POWERTRAIN_LAG, {})._replace(
+            why=NOT_SIGNIFICANT, is_needed=True
+        )
     yield PROGRESS_STEPS, PROGRESS_STEPS
     return result
 
@@ -181,7 +183,7 @@ def _estimate_constants(
     if any(rms_after[name] > CRITERIA.max_rms_ratio * joint_rms[name] for name in rms_after):
         # With the priors of the dropped constants the motion differs too much from the measured one.
         values, rms_after = joint_values, joint_rms
-        replaced = {name: estimate for name, estimate in estimates.items() if estimate.why != NO_IMPROVEMENT}
+        replaced = {name: estimate for name, estimate in estimates.items() if estimate.is_needed}
         estimates |= {
             name: replace_value(estimate, joint_values[name], ONLY_JOINTLY_KNOWN) for name, estimate in replaced.items()
         }
@@ -253,7 +255,7 @@ def _keep_prior(problem: PhysicsProblem, name: str, dropped: Mapping[str, float]
     low = max(low, MIN_CONSTANTS.get(name, -math.inf))
     source = "data sheet" if prior.is_stated else "a plausible value"
     if name in SHAPE_CONSTANTS and name in problem.names and name not in dropped:
-        return Estimate(prior.value, low, high, False, NO_IMPROVEMENT)
+        return Estimate(prior.value, low, high, False, NO_IMPROVEMENT, is_needed=False)
     if name in dropped:
         why = f"these logs leave {min(dropped[name], 1.0):.0%} of the prior uncertainty"
     else:

@@ -212,16 +212,13 @@ def add_shape_constants(problem: PhysicsProblem, plain: list[str], fit: RobustFi
         return plain, fit
     names = [*plain, *tried]
     full = solve_problem(problem, names, np.zeros(len(names)), 25)
-    if not reduces_error(
-        _mean_squared_speed_errors(problem, plain, fit.x), _mean_squared_speed_errors(problem, names, full.x)
-    ):
+    if not reduces_error(_squared_speed_errors(problem, plain, fit), _squared_speed_errors(problem, names, full)):
         return plain, fit
     for shape in tried:
         fewer = [name for name in names if name != shape]
         without = solve_problem(problem, fewer, np.delete(full.x, names.index(shape)), 15)
-        if not reduces_error(
-            _mean_squared_speed_errors(problem, fewer, without.x), _mean_squared_speed_errors(problem, names, full.x)
-        ):
+        squares = _squared_speed_errors(problem, fewer, without)
+        if not reduces_error(squares, _squared_speed_errors(problem, names, full)):
             names, full = fewer, without
     problem.rescale(problem.constants_from_unknowns(names, full.x))
     return names, solve_problem(problem, names, full.x, 15)
@@ -240,9 +237,9 @@ def reduces_error(before: Array, after: Array) -> bool:
     return float(gain.mean()) > max(CRITERIA.min_error_reduction * float(before.mean()), standard_error)
 
 
-def _mean_squared_speed_errors(problem: PhysicsProblem, names: Sequence[str], x: Array) -> Array:
+def _squared_speed_errors(problem: PhysicsProblem, names: Sequence[str], fit: RobustFit) -> Array:
     """Mean squared speed error of each stretch with a measured speed."""
-    errors = problem.errors(problem.constants_from_unknowns(names, x))[:, :, TARGETS.index("speed_mps")]
+    errors = problem.errors(problem.constants_from_unknowns(names, fit.x))[:, :, TARGETS.index("speed_mps")]
     stretches = assign_stretches(problem.windows)
     squares = (errors[stretches == stretch] ** 2 for stretch in np.unique(stretches))
     return np.array([np.nanmean(square) for square in squares if np.isfinite(square).any()])

@@ -16,13 +16,14 @@ from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.effects._signals import SoftState, soft, step_soft
 from tunefree_hil.learn.actuators.model import ActuatorModel, simulate_commands
 from tunefree_hil.learn.actuators.samples import read_accel_command, read_actuation
-from tunefree_hil.learn.drives.drive import INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES, Drive, DrivePart
+from tunefree_hil.learn.drives.drive import INS_FIRST_SPEEDS, INS_FIRST_YAW_RATES, Array, Drive, DrivePart
 from tunefree_hil.learn.drives.road_slope import ACCEL_OFFSET, estimate_accel_offset
 from tunefree_hil.learn.drives.runs import find_runs, sample_interval_ticks
 from tunefree_hil.learn.drives.smoothing import (
     estimate_mean_noise,
     estimate_rate,
     interpolate_fresh,
+    interpolate_from_first,
     shift_earlier,
     smooth_signal,
     yaw_rate_from_wheels,
@@ -32,8 +33,6 @@ from tunefree_hil.plant.actuation.acceleration_interface import FULL_MPS2
 from tunefree_hil.plant.data_sheet import constants_of
 from tunefree_hil.plant.single_track import SingleTrackState, step_single_track
 from tunefree_hil.plant.types import ChassisInput, ChassisParams
-
-Array = np.ndarray
 
 WINDOW_S = 8.0
 ROW_SPACING_S = 0.1  # between compared rows
@@ -103,7 +102,6 @@ class WindowSet(NamedTuple):
     """Free-run windows of drives.
 
     Attributes:
-        windows: The windows.
         is_steered: Whether the steering output is known.
         has_pedals: Whether the pedal outputs are known.
         notes: What was left out.
@@ -236,13 +234,7 @@ class WindowSignals:
     def _target(self, name: str) -> Array:
         """A measured signal, interpolated between fresh values; INS signals are shifted by the INS delay."""
         for source in self._sources(name):
-            values = self.drive.fields[source]
-            fresh = self.drive.fresh[source] & np.isfinite(values)
-            if name == "heading_rad":
-                values = values.copy()
-                values[fresh] = np.unwrap(values[fresh])
-            even = interpolate_fresh(values, fresh)
-            even[: int(np.argmax(fresh))] = np.nan
+            even = interpolate_from_first(self.drive, source)
             return shift_earlier(even, self.ins_delay_rows) if source.startswith("ins.") else even
         wheels = yaw_rate_from_wheels(self.drive, self.vehicle.nominal) if name == "yaw_rate_radps" else None
         if wheels is not None:

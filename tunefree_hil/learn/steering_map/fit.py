@@ -9,6 +9,7 @@ wheelbase and the place of the rear axle are known from the data sheet; the stee
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import NamedTuple
@@ -36,6 +37,9 @@ class SteeringMapCriteria(NamedTuple):
     min_lateral_accel_mps2: float = 1.2  # m/s2, covered to either side, for understeer and rear slip
     min_cubic_curvature_1pm: float = 0.08  # 1/m: 2 % of the wheel angle is cubic from here on, for a wheelbase of 2.8 m
     min_cubic_lateral_accel_mps2: float = 3.5  # m/s2: tyres are linear to about 3 to 4 (Rajamani, 2nd ed., 2.2)
+    # of a coefficient, added to the half of its interval: scale errors of speed and yaw rate, and the map's own form
+    systematic_share: float = 0.005
+    systematic_cubic_share: float = 0.05  # the same of a cubic coefficient, which takes up all higher orders
     coverage_share: float = 0.005  # of the samples on either side, beyond the covered value
     max_ratio_half_width: float = 0.04  # of the ratio: the interval
     max_slip_half_width_s2pm: float = 0.001  # s2/m: 8 % of a wheel angle at 15 m/s
@@ -199,7 +203,8 @@ def _fit_rear_slip(
     columns = np.stack([-lateral, np.ones(len(lateral)), slip.yaw_accel_radps2], axis=1)
     weights = slip.speed_mps**2 / np.mean(slip.speed_mps**2)  # the course is the better the longer the way
     fit = fit_blocks(columns, slip.rear_slip_rad, slip.block, SLIP_FLOOR_RAD, weights)
-    half = float(jackknife_half_width(fit.without_block[:, 0]))
+    spread = float(jackknife_half_width(fit.without_block[:, 0]))
+    half = math.hypot(spread, CRITERIA.systematic_share * abs(float(fit.solution[0])))
     if not fit.is_determined or half > CRITERIA.max_slip_half_width_s2pm:
         reasons[SteeringTerm.REAR_SLIP] = f"the data leave it open by {half:.2g} s2/m to either side"
         return None
@@ -375,7 +380,11 @@ def _is_no_dead_zone(term: SteeringTerm, value: SteeringMap) -> bool:
 
 
 def _half_width(replicates: Sequence[SteeringMap], name: str) -> float:
-    return float(jackknife_half_width(np.array([getattr(steering, name) for steering in replicates])))
+    """Half of the 95 % interval: the blocks' spread, and what blocks have in common."""
+    values = np.array([getattr(steering, name) for steering in replicates])
+    is_cubic = name in (SteeringTerm.LENGTH_CUBIC.value, SteeringTerm.UNDERSTEER_CUBIC.value)
+    share = CRITERIA.systematic_cubic_share if is_cubic else CRITERIA.systematic_share
+    return math.hypot(float(jackknife_half_width(values)), share * float(np.abs(values).mean()))
 
 
 def _with_bounds(steering: SteeringMap, bounds: SteeringMap) -> SteeringMap:

@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import Generator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 
@@ -30,12 +31,19 @@ PROBED_SHARES = (0.0, 0.999)  # of a training, at which a step is timed: the che
 PROBE_STEPS = 1000
 
 
+class TrackSplit(NamedTuple):
+    """Tracks to train on, and held-out tracks, which stop the training."""
+
+    training: Sequence[MotionTrack]
+    held_out: Sequence[MotionTrack]
+
+
 def estimate_affordable_steps(learner: Learner, minutes: float) -> int:
     """Steps that take so many minutes of processor time; no weight is changed.
 
     Processor time is measured, so that a busy machine trains longer and not less.
     """
-    learner.set_steps(PROBE_STEPS)
+    learner.steps = PROBE_STEPS
     seconds = work = 0.0
     for share in PROBED_SHARES:
         step = round(share * PROBE_STEPS)
@@ -57,12 +65,7 @@ def make_learner(plan: TrainingPlan, training: TrackPool, held_out: TrackPool, m
 
 
 def train_plant(
-    plan: TrainingPlan,
-    training: Sequence[MotionTrack],
-    held_out: Sequence[MotionTrack],
-    model: ModelSpec,
-    rest: float,
-    part: Path | None,
+    plan: TrainingPlan, tracks: TrackSplit, model: ModelSpec, rest: float, part: Path | None
 ) -> Generator[TrainingProgress, None, TrainingResult]:
     """Train a kind on tracks.
 
@@ -71,8 +74,7 @@ def train_plant(
 
     Args:
         plan: Settings.
-        training: Tracks to train on.
-        held_out: Tracks that stop the training.
+        tracks: Training and held-out tracks.
         model: The calibrated physics.
         rest: Duty of a released pedal.
         part: Checkpoint file, None for none.
@@ -80,26 +82,24 @@ def train_plant(
     Raises:
         InputError: There is no track, or no usable stretch.
     """
-    for tracks, purpose in ((training, "learn from"), (held_out, "evaluate on")):
-        if not tracks:
+    for subset, purpose in zip(tracks, ("learn from", "evaluate on"), strict=True):
+        if not subset:
             raise InputError(
                 f"there is no stretch to {purpose}", code="too_short", key="LOG", hint="record longer drives"
             )
     torch.set_num_threads(N_THREADS)
     torch.manual_seed(plan.seed)
-    pools = make_pool(training, model, rest), make_pool(held_out, model, rest)
-    learner = make_learner(plan, *pools, model)
-    identity = hash_training_data(training, held_out, model)
+    training, held_out = (make_pool(subset, model, rest) for subset in tracks)
+    learner = make_learner(plan, training, held_out, model)
+    identity = hash_training_data(tracks, model)
     steps = plan.steps or read_planned_steps(part, identity, plan)
     if not steps:
         steps = estimate_affordable_steps(learner, plan.minutes) if plan.minutes else DEFAULT_STEPS[plan.kind]
-    learner.set_steps(steps)
+    learner.steps = steps
     return (yield from run_training(learner, plan, steps, part, identity))
 
 
-def hash_training_data(training: Sequence[MotionTrack], held_out: Sequence[MotionTrack], model: ModelSpec) -> str:
+def hash_training_data(tracks: TrackSplit, model: ModelSpec) -> str:
     """Identity of a checkpoint: the rows of both sets, the physics and the version of torch."""
-    rows = [
-        [[track.log_hash, track.name, track.begin, track.n_rows] for track in tracks] for tracks in (training, held_out)
-    ]
+    rows = [[[track.log_hash, track.name, track.begin, track.n_rows] for track in subset] for subset in tracks]
     return hashlib.sha256(json.dumps([rows, model.hash, torch.__version__]).encode()).hexdigest()

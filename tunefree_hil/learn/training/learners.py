@@ -6,7 +6,7 @@ A learner draws its batches from (seed, step) alone, so that a training can be i
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -17,7 +17,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ModelSpec
 from tunefree_hil.learn.drives.drive import Array
 from tunefree_hil.learn.evaluation.motion import body_change
-from tunefree_hil.learn.training.nets import CellNet, LayerNet
+from tunefree_hil.learn.training.nets import CellNet, NetScaling
 from tunefree_hil.learn.training.physics import BatchedSingleTrack
 from tunefree_hil.learn.training.rollout import (
     FreeRunner,
@@ -25,10 +25,12 @@ from tunefree_hil.learn.training.rollout import (
     KinematicRunner,
     PhysicsRunner,
     compute_errors,
+    kinematic_features,
 )
 from tunefree_hil.learn.training.teacher_forcing import TeacherForcedRunner
 from tunefree_hil.learn.training.windows import (
     ACCEL,
+    START_SPACING_ROWS,
     YAW,
     TrackPool,
     WindowBatch,
@@ -117,10 +119,10 @@ class TrainingPlan(NamedTuple):
 class Learner(Protocol):
     """A net with its data."""
 
+    steps: int  # of the training, at least one
+
     @property
     def net(self) -> nn.Module: ...
-
-    def set_steps(self, steps: int) -> None: ...
 
     def loss(self, step: int) -> Tensor: ...
 
@@ -158,15 +160,11 @@ class FreeRunLearner:
             self.runner = HybridRunner(base, self.net)
             self.held_out_runner = HybridRunner(PhysicsRunner(physics, held_out), self.net)
         else:
-            self.net = self._make_kinematic_net(model.plant.params)
+            self.net = self._make_kinematic_net()
             self.runner = KinematicRunner(model.plant.params, self.net)
             self.held_out_runner = KinematicRunner(model.plant.params, self.net)
         is_forced = any(span.is_teacher_forced for span in self.spans)
         self.teacher_forced = TeacherForcedRunner(base, self.net) if is_forced else None
-
-    def set_steps(self, steps: int) -> None:
-        """Set the number of steps of the training, at least one; its stages are shares of them."""
-        self.steps = max(steps, 1)
 
     def loss(self, step: int) -> Tensor:
         """Weighted errors of the batch of a step."""
@@ -212,11 +210,8 @@ class FreeRunLearner:
 
     def _span(self, stage: CurriculumStage) -> CurriculumSpan:
         """The stage with its planned window length, or a shorter one where the drives are too short."""
-        for seconds in (stage.ahead_s, *(shorter for shorter in HOLDOUT_LENGTHS_S if shorter < stage.ahead_s)):
-            ahead = round(seconds / self.training.dt_s)
-            starts = find_window_starts(self.training, self.warm_up, ahead)
-            if len(starts):
-                break
+        lengths_s = (stage.ahead_s, *(shorter for shorter in HOLDOUT_LENGTHS_S if shorter < stage.ahead_s))
+        starts, ahead = _find_longest_windows(self.training, self.warm_up, lengths_s)
         batch = self.plan.batch
         if stage.is_teacher_forced:
             batch = max(round(batch * TEACHER_FORCING_BATCH_SHARE), 1)
@@ -245,18 +240,17 @@ class FreeRunLearner:
         features = base.features[window.rows[1 : self.warm_up + 1]].transpose(1, 2)
         residuals = (motion[..., ACCEL] - features[:, 5], motion[..., YAW] - features[:, 6])
         bound = [_output_bound(residuals[0], 2.0, 0.5, 4.0), _output_bound(residuals[1], 2.0, 0.03, 0.5)]
-        mean, scale = compute_scaling(features)
-        scale[list(PEDAL_INPUTS)] /= PEDAL_SCALE_DIVISOR
-        return CellNet(mean, scale, bound, self.plan.seed, masked=MASKED_INPUTS)
+        scaling = compute_scaling(features, bound)
+        scaling.scale[list(PEDAL_INPUTS)] /= PEDAL_SCALE_DIVISOR
+        return CellNet(scaling, self.plan.seed, masked=MASKED_INPUTS)
 
-    def _make_kinematic_net(self, params: Mapping[str, float]) -> CellNet:
+    def _make_kinematic_net(self) -> CellNet:
         """The cell of kind lstm, with its scaling and bounds."""
         window = self._scaling_windows()
         motion = self.training.motion[window.rows[1 : self.warm_up + 1]]
         bound = [_output_bound(motion[..., ACCEL], 1.5, 3.0, 12.0), _output_bound(motion[..., YAW], 1.5, 0.3, 3.0)]
-        runner = KinematicRunner(params, LayerNet(np.zeros(1), np.ones(1), bound, 0))
-        scaling = compute_scaling(runner.features(self.training, window, self.warm_up + 1))
-        return CellNet(*scaling, bound, self.plan.seed, zero_outputs=False)
+        scaling = compute_scaling(kinematic_features(self.training, window, self.warm_up + 1), bound)
+        return CellNet(scaling, self.plan.seed, zero_outputs=False)
 
     def _scaling_windows(self) -> WindowBatch:
         starts = find_window_starts(self.training, self.warm_up, 1)
@@ -270,19 +264,29 @@ def cosine_rate(share: float) -> float:
 
 def select_holdout_windows(pool: TrackPool, warm_up: int) -> tuple[Array, int]:
     """Starts and free ticks of the longest windows that the pool contains."""
-    for seconds in HOLDOUT_LENGTHS_S:
+    spacing_rows = round(HOLDOUT_SPACING_S / pool.dt_s)
+    starts, ahead = _find_longest_windows(pool, warm_up, HOLDOUT_LENGTHS_S, spacing_rows)
+    require_rows(starts, pool, "held-out")
+    return spread_evenly(starts, MAX_HOLDOUT_WINDOWS), ahead
+
+
+def _find_longest_windows(
+    pool: TrackPool, warm_up: int, lengths_s: Sequence[float], spacing_rows: int = START_SPACING_ROWS
+) -> tuple[Array, int]:
+    """Starts and free ticks of the first of these lengths that the pool contains; no starts where it contains none."""
+    starts, ahead = np.zeros(0, dtype=int), 0
+    for seconds in lengths_s:
         ahead = round(seconds / pool.dt_s)
-        starts = find_window_starts(pool, warm_up, ahead, every=round(HOLDOUT_SPACING_S / pool.dt_s))
+        starts = find_window_starts(pool, warm_up, ahead, spacing_rows)
         if len(starts):
-            return spread_evenly(starts, MAX_HOLDOUT_WINDOWS), ahead
-    require_rows(np.zeros(0), pool, "held-out")
-    raise AssertionError  # require_rows has raised
+            break
+    return starts, ahead
 
 
-def compute_scaling(features: Tensor) -> tuple[Array, Array]:
-    """Mean and scale of features, shape (n_ticks, n_inputs, n_windows)."""
+def compute_scaling(features: Tensor, bound: Sequence[float]) -> NetScaling:
+    """The scaling of a net with these features, shape (n_ticks, n_inputs, n_windows), and output bounds."""
     flat = features.transpose(1, 2).reshape(-1, features.shape[1])
-    return flat.mean(0).numpy(), flat.std(0).clamp(min=MIN_INPUT_SPREAD).numpy()
+    return NetScaling(flat.mean(0).numpy(), flat.std(0).clamp(min=MIN_INPUT_SPREAD).numpy(), bound)
 
 
 def _output_bound(values: Tensor, factor: float, low: float, high: float) -> float:

@@ -185,10 +185,8 @@ def _run_steps(training: _Training) -> Generator[TrainingProgress, None, str]:
 
 def read_planned_steps(part: Path | None, identity: str, plan: TrainingPlan) -> int:
     """Planned steps of a checkpoint; 0 where there is none of this data and plan."""
-    if part is None or not part.is_file():
-        return 0
-    data = torch.load(part, weights_only=True)
-    return int(data["total"]) if data["identity"] == identity and data["wish"] == list(plan) else 0
+    data = _load_checkpoint(part, identity, plan)
+    return int(data["total"]) if data else 0
 
 
 def schedule_evaluations(costs: Sequence[float]) -> set[int]:
@@ -271,15 +269,20 @@ def _write_checkpoint(training: _Training) -> None:
 
 def _read_checkpoint(training: _Training) -> bool:
     """Restore net, optimiser and state; False where there is no checkpoint of this training."""
-    path, state = training.checkpoint, training.state
-    if path is None or not path.is_file():
-        return False
-    data = torch.load(path, weights_only=True)
-    identity, plan = data.pop("identity"), data.pop("wish")
-    if identity != training.identity or plan != list(training.plan) or data["total"] != state.total:
+    data, state = _load_checkpoint(training.checkpoint, training.identity, training.plan), training.state
+    if not data or data["total"] != state.total:
         return False
     training.learner.net.load_state_dict(data.pop("net"))
     training.optimiser.load_state_dict(data.pop("optimiser"))
     data["looks"] = [(int(step), float(score)) for step, score in data["looks"]]
     vars(state).update(data)
     return True
+
+
+def _load_checkpoint(path: Path | None, identity: str, plan: TrainingPlan) -> dict[str, Any]:
+    """The content of a checkpoint without its identity; empty where there is none of this data and plan."""
+    if path is None or not path.is_file():
+        return {}
+    data = torch.load(path, weights_only=True)
+    is_same = [data.pop("identity"), data.pop("wish")] == [identity, list(plan)]
+    return data if is_same else {}

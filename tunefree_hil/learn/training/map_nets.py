@@ -29,7 +29,6 @@ class TrainedMapNet(NamedTuple):
     """A trained net.
 
     Attributes:
-        net: The net.
         held_out_mps2: Error on held-out cells, NaN without.
         rounds: The best round.
         seed: Of the weights.
@@ -49,6 +48,14 @@ class MapNetScales(NamedTuple):
     speed: LinearScale
     command: LinearScale
     accel: LinearScale
+
+
+class MapNetData(NamedTuple):
+    """What a net is trained on. held_out: points that stop the training; None: it ends after a number of rounds."""
+
+    training: CellPoints
+    held_out: CellPoints | None
+    scales: MapNetScales
 
 
 def import_torch() -> Any:
@@ -77,13 +84,11 @@ def scales_from_points(points: CellPoints) -> MapNetScales:
     )
 
 
-def train_all_widths(
-    training: CellPoints, held_out: CellPoints, scales: MapNetScales, seed: int
-) -> Iterator[TrainedMapNet]:
+def train_all_widths(data: MapNetData, seed: int) -> Iterator[TrainedMapNet]:
     """Every width with every seed, narrow ones first."""
     for width in HIDDEN_WIDTHS:
         for number in range(N_SEEDS):
-            yield train_map_net(training, held_out, scales, width, seed * N_SEEDS + number)
+            yield train_map_net(data, width, seed * N_SEEDS + number)
 
 
 def select_width(candidates: Sequence[TrainedMapNet], held_out: CellPoints) -> tuple[list[TrainedMapNet], float]:
@@ -99,11 +104,10 @@ def select_width(candidates: Sequence[TrainedMapNet], held_out: CellPoints) -> t
     return by_width[best], errors[best]
 
 
-def train_map_net(
-    training: CellPoints, held_out: CellPoints | None, scales: MapNetScales, width: int, seed: int, rounds: int = 0
-) -> TrainedMapNet:
+def train_map_net(data: MapNetData, width: int, seed: int, rounds: int = 0) -> TrainedMapNet:
     """Train one net: with held-out points it is stopped by their error, else after `rounds` (0: MAX_ROUNDS)."""
     torch = import_torch()
+    training, held_out, scales = data
     with _single_thread(torch):
         weights = _initial_weights(torch, width, seed)
         optimizer = torch.optim.LBFGS(

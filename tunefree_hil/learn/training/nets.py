@@ -30,42 +30,62 @@ class RolloutWeights(NamedTuple):
     bound: Tensor  # (2, 1)
 
 
-class CellNet(nn.Module):
+class NetScaling(NamedTuple):
+    """Mean and scale of the inputs of a net, shape (n_inputs,), and the bounds of its two outputs."""
+
+    mean: Array
+    scale: Array
+    bound: Sequence[float]
+
+
+class ScaledNet(nn.Module):
+    """A net with its scaling as buffers."""
+
+    mean: Tensor
+    scale: Tensor
+    bound: Tensor
+
+    def __init__(self, scaling: NetScaling) -> None:
+        super().__init__()
+        for name, values in scaling._asdict().items():
+            self.register_buffer(name, torch.as_tensor(values, dtype=torch.float64))
+
+    def arrays(self) -> dict[str, Array]:
+        """The arrays of plant.npz."""
+        return {name: value.detach().numpy().copy() for name, value in self.state_dict().items()}
+
+
+def draw_weights(generator: torch.Generator, spread: float, *shape: int) -> nn.Parameter:
+    """Weights between -spread and spread."""
+    return nn.Parameter((torch.rand(*shape, generator=generator, dtype=torch.float64) * 2.0 - 1.0) * spread)
+
+
+class CellNet(ScaledNet):
     """LSTM cell and a linear layer with two bounded outputs.
 
     Args:
-        mean: Of the inputs.
-        scale: Of the inputs.
-        bound: Of the outputs.
+        scaling: Of inputs and outputs.
         seed: Of the weights.
         relu: ReLU replaces tanh in the cell.
         zero_outputs: The outputs start at 0.
         masked: Inputs whose weights stay 0.
     """
 
-    mean: Tensor
-    scale: Tensor
-    bound: Tensor
-
     def __init__(
         self,
-        mean: Array,
-        scale: Array,
-        bound: Sequence[float],
+        scaling: NetScaling,
         seed: int,
         *,
         relu: bool = False,
         zero_outputs: bool = True,
         masked: Sequence[int] = (),
     ) -> None:
-        super().__init__()
+        super().__init__(scaling)
         generator = torch.Generator().manual_seed(seed)
-        inputs, spread = len(mean), 1.0 / math.sqrt(N_CELL_UNITS)
+        inputs, spread = len(scaling.mean), 1.0 / math.sqrt(N_CELL_UNITS)
 
-        def draw(*shape: int) -> nn.Parameter:
-            return nn.Parameter((torch.rand(*shape, generator=generator, dtype=torch.float64) * 2.0 - 1.0) * spread)
-
-        self.w_in, self.w_rec = draw(4 * N_CELL_UNITS, inputs), draw(4 * N_CELL_UNITS, N_CELL_UNITS)
+        self.w_in = draw_weights(generator, spread, 4 * N_CELL_UNITS, inputs)
+        self.w_rec = draw_weights(generator, spread, 4 * N_CELL_UNITS, N_CELL_UNITS)
         if masked:
             mask = torch.ones(inputs, dtype=torch.float64)
             mask[list(masked)] = 0.0
@@ -74,13 +94,10 @@ class CellNet(nn.Module):
         bias = torch.zeros(4 * N_CELL_UNITS, dtype=torch.float64)
         bias[N_CELL_UNITS : 2 * N_CELL_UNITS] = 1.0  # the forget gate starts open
         self.bias = nn.Parameter(bias)
-        self.w_out = (
-            nn.Parameter(torch.zeros(2, N_CELL_UNITS, dtype=torch.float64)) if zero_outputs else draw(2, N_CELL_UNITS)
-        )
+        zeros = nn.Parameter(torch.zeros(2, N_CELL_UNITS, dtype=torch.float64))
+        self.w_out = zeros if zero_outputs else draw_weights(generator, spread, 2, N_CELL_UNITS)
         self.b_out = nn.Parameter(torch.zeros(2, dtype=torch.float64))
         self.relu = relu
-        for name, values in (("mean", mean), ("scale", scale), ("bound", bound)):
-            self.register_buffer(name, torch.as_tensor(values, dtype=torch.float64))
 
     def rollout_weights(self) -> RolloutWeights:
         """Weights for a rollout, with gradients."""
@@ -122,43 +139,25 @@ class CellNet(nn.Module):
             hidden, memory = self.step(torch.addmm(row, weights.hidden, hidden), memory)
         return hidden, memory
 
-    def arrays(self) -> dict[str, Array]:
-        """The arrays of plant.npz."""
-        return {name: value.detach().numpy().copy() for name, value in self.state_dict().items()}
-
 
 def cell_outputs(weights: RolloutWeights, hidden: Tensor) -> Tensor:
     """The two bounded outputs, shape (2, n_windows)."""
     return weights.bound * torch.tanh(torch.addmm(weights.out_bias, weights.out, hidden))
 
 
-class LayerNet(nn.Module):
+class LayerNet(ScaledNet):
     """One hidden layer of tanh and two bounded outputs."""
 
-    mean: Tensor
-    scale: Tensor
-    bound: Tensor
-
-    def __init__(self, mean: Array, scale: Array, bound: Sequence[float], seed: int) -> None:
-        super().__init__()
+    def __init__(self, scaling: NetScaling, seed: int) -> None:
+        super().__init__(scaling)
         generator = torch.Generator().manual_seed(seed)
-
-        def draw(*shape: int) -> nn.Parameter:
-            spread = math.sqrt(6.0 / sum(shape))
-            return nn.Parameter((torch.rand(*shape, generator=generator, dtype=torch.float64) * 2.0 - 1.0) * spread)
-
-        self.w1, self.w2 = draw(N_HIDDEN_UNITS, len(mean)), draw(2, N_HIDDEN_UNITS)
+        shapes = (N_HIDDEN_UNITS, len(scaling.mean)), (2, N_HIDDEN_UNITS)
+        self.w1, self.w2 = (draw_weights(generator, math.sqrt(6.0 / sum(shape)), *shape) for shape in shapes)
         self.b1 = nn.Parameter(torch.zeros(N_HIDDEN_UNITS, dtype=torch.float64))
         self.b2 = nn.Parameter(torch.zeros(2, dtype=torch.float64))
-        for name, values in (("mean", mean), ("scale", scale), ("bound", bound)):
-            self.register_buffer(name, torch.as_tensor(values, dtype=torch.float64))
 
     def forward(self, features: Tensor) -> Tensor:
         """Outputs, shape (2, n_windows), for features of shape (n_inputs, n_windows)."""
         scaled = (features - self.mean.unsqueeze(1)) / self.scale.unsqueeze(1)
         hidden = torch.tanh(torch.addmm(self.b1.unsqueeze(1), self.w1, scaled))
         return self.bound.unsqueeze(1) * torch.tanh(torch.addmm(self.b2.unsqueeze(1), self.w2, hidden))
-
-    def arrays(self) -> dict[str, Array]:
-        """The arrays of plant.npz."""
-        return {name: value.detach().numpy().copy() for name, value in self.state_dict().items()}

@@ -8,7 +8,13 @@ from torch import Tensor
 
 from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.learn.drives.drive import Array
-from tunefree_hil.learn.training.learners import MIN_INPUT_SPREAD, TrainingPlan, cosine_rate, require_rows
+from tunefree_hil.learn.training.learners import (
+    MIN_INPUT_SPREAD,
+    TrainingPlan,
+    compute_scaling,
+    cosine_rate,
+    require_rows,
+)
 from tunefree_hil.learn.training.nets import CellNet, LayerNet
 from tunefree_hil.learn.training.windows import ACCEL, SPEED, YAW, TrackPool, draw_rows, spread_evenly
 from tunefree_hil.plant.paper import SAMPLES
@@ -36,10 +42,6 @@ class OneStepLearner:
         self.mean, self.spread = labels.mean(1, keepdim=True), labels.std(1, keepdim=True).clamp(min=MIN_INPUT_SPREAD)
         self.bound = (BOUND_MARGIN * labels.abs().amax(1)).clamp(min=MIN_INPUT_SPREAD)
         self.net = self._make_net()
-
-    def set_steps(self, steps: int) -> None:
-        """Set the number of steps of the training, at least one."""
-        self.steps = max(steps, 1)
 
     def loss(self, step: int) -> Tensor:
         """Mean squared error of the batch of a step."""
@@ -104,11 +106,10 @@ class OneStepLearner:
 
     def _make_net(self) -> CellNet | LayerNet:
         features = self._features(self.training, spread_evenly(self.rows, MAX_HOLDOUT_ROWS))
-        flat = features.transpose(1, 2).reshape(-1, features.shape[1])
-        mean, scale = flat.mean(0).numpy(), flat.std(0).clamp(min=MIN_INPUT_SPREAD).numpy()
+        scaling = compute_scaling(features, self.bound.tolist())
         if self.plan.kind == "mlp":
-            return LayerNet(mean, scale, self.bound.tolist(), self.plan.seed)
-        return CellNet(mean, scale, self.bound.tolist(), self.plan.seed, relu=True, zero_outputs=False)
+            return LayerNet(scaling, self.plan.seed)
+        return CellNet(scaling, self.plan.seed, relu=True, zero_outputs=False)
 
 
 def _slope_accel(pool: TrackPool, rows: Tensor) -> Tensor:

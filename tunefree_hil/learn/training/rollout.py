@@ -1,4 +1,4 @@
-"""Free run in torch: the kernels of plant/hybrid.py, lstm.py and mlp.py over many windows at once, with gradients.
+"""Free run in torch: the kernels of plant/hybrid.py and lstm.py over many windows at once, with gradients.
 
 Each agrees with its kernel within 1e-5 a tick and 1 mm over 10 s (tests/learn/training/test_rollout.py).
 """
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from tunefree_hil.base.contracts import BodyChange
 from tunefree_hil.base.units import G_MPS2
-from tunefree_hil.learn.training.nets import CellNet, LayerNet, cell_outputs
+from tunefree_hil.learn.training.nets import CellNet, cell_outputs
 from tunefree_hil.learn.training.physics import BatchedSingleTrack, step_physics
 from tunefree_hil.learn.training.windows import ACCEL, HEADING, SPEED, YAW, TrackPool, WindowBatch, X, Y
 from tunefree_hil.plant.hybrid import FADE_MPS
@@ -143,46 +143,28 @@ class _KinematicState(NamedTuple):
 
 
 class KinematicRunner:
-    """Kinds lstm and mlp: the net gives acceleration and yaw rate, plant/learned/kinematics.py moves the vehicle."""
+    """Kind lstm: the net gives acceleration and yaw rate, plant/learned/kinematics.py moves the vehicle."""
 
-    def __init__(self, params: Mapping[str, float], net: CellNet | LayerNet) -> None:
+    def __init__(self, params: Mapping[str, float], net: CellNet) -> None:
         kinematic = {key: value for key, value in params.items() if key in DEFAULTS}
         self.grip = carriage_of("lstm", DEFAULTS, kinematic, BodyChange()).grip_mps2
         self.net = net
-
-    def features(self, pool: TrackPool, window: WindowBatch, end: int) -> Tensor:
-        """Inputs of the net in ticks 1 to end - 1 along the measured motion, shape (end - 1, 6, n_windows)."""
-        motion, inputs = _select_windows(pool, window)
-        before, accel = motion[: end - 1], self._level_accel(pool, window, motion)[: end - 1]
-        return torch.cat(
-            [before[:, SPEED : SPEED + 1], inputs[1:end], accel.unsqueeze(1), before[:, YAW : YAW + 1]], dim=1
-        )
-
-    def _level_accel(self, pool: TrackPool, window: WindowBatch, motion: Tensor) -> Tensor:
-        """Rate of speed on level ground, shape (n_ticks, n_windows)."""
-        return motion[:, ACCEL] + G_MPS2 * torch.sin(pool.grade_rad[window.rows])
 
     def run(self, pool: TrackPool, window: WindowBatch) -> FreeRun:
         """Free run, with gradients to the net."""
         net, dt = self.net, pool.dt_s
         motion, inputs = _select_windows(pool, window)
-        slope = G_MPS2 * torch.sin(pool.grade_rad[window.rows])
-        level_accel = self._level_accel(pool, window, motion)[window.warm_up]
+        slope = _slope_accel(pool, window)
+        level_accel = motion[window.warm_up, ACCEL] + slope[window.warm_up]
         state = _KinematicState(motion[window.warm_up, SPEED], motion[window.warm_up, YAW], level_accel)
         speeds, yaws = [state.speed], [state.yaw]
-        weights = hidden = memory = None
-        if isinstance(net, CellNet):
-            weights = net.rollout_weights()
-            hidden, memory = net.run(weights, self.features(pool, window, window.warm_up + 1))
+        weights = net.rollout_weights()
+        hidden, memory = net.run(weights, kinematic_features(pool, window, window.warm_up + 1))
         for t in range(window.warm_up + 1, len(window.rows)):
             features = torch.cat([state.speed.unsqueeze(0), inputs[t], torch.stack([state.level_accel, state.yaw])])
-            if isinstance(net, CellNet) and weights is not None and hidden is not None and memory is not None:
-                gates = torch.addmm(weights.bias, weights.both, torch.cat([features, hidden]))
-                hidden, memory = net.step(gates, memory)
-                outputs = cell_outputs(weights, hidden)
-            else:
-                outputs = net(features)
-            state = self._step(state.speed, outputs, slope[t], dt)
+            gates = torch.addmm(weights.bias, weights.both, torch.cat([features, hidden]))
+            hidden, memory = net.step(gates, memory)
+            state = self._step(state.speed, cell_outputs(weights, hidden), slope[t], dt)
             speeds.append(state.speed)
             yaws.append(state.yaw)
         speed = torch.stack(speeds)
@@ -202,6 +184,19 @@ class KinematicRunner:
         return _KinematicState(speed, yaw * (speed / FADE_MPS).clamp(0.0, 1.0), accel * (speed > 0.0))
 
 
+def kinematic_features(pool: TrackPool, window: WindowBatch, end: int) -> Tensor:
+    """Inputs of kind lstm in ticks 1 to end - 1 along the measured motion, shape (end - 1, 6, n_windows)."""
+    motion, inputs = _select_windows(pool, window)
+    before, level_accel = motion[: end - 1], (motion[:, ACCEL] + _slope_accel(pool, window))[: end - 1]
+    parts = [before[:, SPEED : SPEED + 1], inputs[1:end], level_accel.unsqueeze(1), before[:, YAW : YAW + 1]]
+    return torch.cat(parts, dim=1)
+
+
+def _slope_accel(pool: TrackPool, window: WindowBatch) -> Tensor:
+    """Deceleration by the slope, m/s2, shape (n_ticks, n_windows)."""
+    return G_MPS2 * torch.sin(pool.grade_rad[window.rows])
+
+
 def _select_windows(pool: TrackPool, window: WindowBatch) -> tuple[Tensor, Tensor]:
     """Motion and inputs over rest of the windows, shapes (n_ticks, 6, n_windows) and (n_ticks, 3, n_windows)."""
     rest = torch.tensor([pool.rest, pool.rest, 0.0], dtype=torch.float64)
@@ -213,8 +208,6 @@ class FreeRunBatchErrors(NamedTuple):
     """Free run minus measured motion, shape (ahead, n_windows).
 
     Attributes:
-        speed_mps: Error.
-        yaw_rate_radps: Error.
         heading_rad: Error of the heading since the start.
         position_m: Distance.
     """

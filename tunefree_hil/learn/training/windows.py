@@ -40,12 +40,10 @@ class TrackPool(NamedTuple):
     """All tracks end to end.
 
     Attributes:
-        dt_s: Tick.
         rest: Duty of a released pedal.
         inputs: Actuator outputs (duty, duty, rad at the wheel), shape (n_rows, 3).
         commands: The same as commanded.
         motion: Columns SPEED to Y, shape (n_rows, 6).
-        grade_rad: Slope of the road.
         spans: [begin, end) of usable rows without a gap.
     """
 

@@ -33,8 +33,8 @@ messages = st.builds(
 
 def packed(can_id: int, data: bytes, time_ns: int, fd: bool, flags: int) -> bytes:
     if can_id & records.RTR_FLAG:
-        return records.pack_raw(can_id, b"", time_ns, length=len(data))
-    return records.pack_raw(can_id, data * (8 if fd else 1), time_ns, fd=fd, flags=flags if fd else 0)
+        return records.pack_raw(records.Raw(can_id, b"", time_ns, length=len(data)))
+    return records.pack_raw(records.Raw(can_id, data * (8 if fd else 1), time_ns, fd, flags if fd else 0))
 
 
 @given(st.lists(messages, max_size=20))
@@ -65,7 +65,7 @@ def test_error_frames_are_error_frames(tmp_path: Path) -> None:
     path = tmp_path / "x.log"
     log = CandumpLog(str(path), "can0", 0)
     for classes in (0, 0x80, 0x80 | 0x40):
-        log.add(records.pack_raw(records.ERR_FLAG | classes, bytes(8)), 1)
+        log.add(records.pack_raw(records.Raw(records.ERR_FLAG | classes, bytes(8))), 1)
     log.close()
     assert [message.is_error_frame for message in can.LogReader(str(path))] == [True] * 3
     assert [line.split()[2][:9] for line in path.read_text().splitlines()] == ["20000080#", "20000080#", "200000C0#"]
@@ -101,7 +101,7 @@ def test_a_log_that_was_cut_off_is_readable_but_keeps_the_other_name(tmp_path: P
 def test_many_ids_do_not_fill_the_memory(tmp_path: Path) -> None:
     log = CandumpLog(str(tmp_path / "x.log"), "can0", 0)
     for identifier in range(10_000):
-        log.add(records.pack_raw(identifier | records.EFF_FLAG, b""), 1)
+        log.add(records.pack_raw(records.Raw(identifier | records.EFF_FLAG, b"")), 1)
     log.close()
     assert len(log._prefixes) <= 4097
     assert (tmp_path / "x.log").read_text().endswith(f"{9999:08X}#\n")

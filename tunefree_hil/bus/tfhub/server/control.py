@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bus.tfhub.records import CHANNELS, REPLY, RecordError, pack_control
-from tunefree_hil.bus.tfhub.server.log import CandumpLog
+from tunefree_hil.bus.tfhub.server.log import close_logs, open_logs
 from tunefree_hil.bus.tfhub.server.sender_check import SenderCheck
 
 if TYPE_CHECKING:
@@ -31,31 +31,16 @@ def _start_log(hub: Hub, body: dict[str, Any]) -> dict[str, Any]:
     paths = body.get("paths")
     if not isinstance(paths, dict) or not paths or not set(paths) <= set(CHANNELS):
         raise RecordError("it asked for a log without channels")
-    logs: dict[str, CandumpLog] = {}
-    try:
-        for channel, path in paths.items():
-            logs[channel] = CandumpLog(str(path), hub.log_names[channel], hub.epoch_offset_ns)
-    except BenchError:
-        for log in logs.values():
-            log.discard()
-        raise
-    hub.logs = logs
+    hub.logs = open_logs(paths, hub.log_names, hub.epoch_offset_ns)
     return {}
 
 
 def _stop_log(hub: Hub, body: dict[str, Any]) -> dict[str, int]:
-    """Frames by channel. Every log is closed before the first error is raised."""
+    """Frames by channel."""
     if not hub.logs:
         raise BenchError("no log is being written", code="no_log", hint="start_log comes first")
     logs, hub.logs = hub.logs, {}
-    errors: list[BenchError] = []
-    for log in logs.values():
-        try:
-            log.close()
-        except BenchError as error:
-            errors.append(error)
-    if errors:
-        raise errors[0]
+    close_logs(logs.values())
     return {channel: log.frames for channel, log in logs.items()}
 
 
@@ -78,17 +63,13 @@ def _stats(hub: Hub, body: dict[str, Any]) -> dict[str, Any]:
             "pid": peer.pid,
             "sent": peer.sent,
             "dropped": peer.dropped,
-            "owed_bytes": peer.queued_bytes,
         }
         for peer in hub.board.peers
         if peer.role
     ]
     return {
-        "session": hub.session.session,
-        "clock": hub.session.info.clock,
         "frames": hub.frames,
         "peers": peers,
         "lost": list(hub.lost)[-20:],
         "held_by": [peer.name for blockers in hub.board.blockers.values() for peer in blockers],
-        "log_failures": [log.failure for log in hub.logs.values() if log.failure],
     }

@@ -12,8 +12,10 @@ import struct
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from typing import Literal, NamedTuple
 
 from tunefree_hil.bus.tfhub import reception
+from tunefree_hil.bus.tfhub.address import DEFAULT_TRANSPORT, Transport
 from tunefree_hil.bus.tfhub.records import (
     BYE,
     CHANNELS,
@@ -42,6 +44,7 @@ from tunefree_hil.bus.tfhub.server.log import CandumpLog
 from tunefree_hil.bus.tfhub.server.sender_check import VEHICLE, SenderCheck
 from tunefree_hil.bus.tfhub.session import Session
 
+HubClock = Literal["real", "sender"]
 READ_BYTES = 1 << 16
 LOG_SLICE = 96  # frames made into log text at a time, when that many wait and nothing else is to do: about 100 us
 BUSY_LIMIT = 4096  # frames that may wait for that while the hub is never idle
@@ -50,27 +53,47 @@ SIZE_KIND = struct.Struct("<HB")
 TIME = struct.Struct("<Q")
 
 
-class Hub:
-    """Routes two channels until `stop` is called, or (unless `standalone`) until its owner is gone.
+class HubOptions(NamedTuple):
+    """How a hub runs.
 
-    `clock` 'real': stamps are CLOCK_MONOTONIC. 'sender': members that asked for it in HELLO stamp their own frames
-    (virtual time), all others get the latest of these. `note` gets messages for the user, one a line.
+    clock: 'real': stamps are CLOCK_MONOTONIC. 'sender': members that asked for it in HELLO stamp their own frames
+    (virtual time), all others get the latest of these.
+    """
+
+    transport: Transport = DEFAULT_TRANSPORT
+    clock: HubClock = "real"
+    standalone: bool = False  # it does not end with its owner
+    log_names: Mapping[str, str] = LOG_NAMES  # channel -> its name in a log
+    observer_bytes: int = OBSERVER_BYTES
+
+
+class _Run(NamedTuple):
+    """Consecutive FRAME (or SECOND_FRAME) records in the buffer: where they begin, where the last of them does."""
+
+    kind: int
+    first: int
+    last: int
+    end: int
+    count: int
+
+
+class Hub:
+    """Routes two channels until `stop` is called, or (unless standalone) until its owner is gone.
+
+    `note` gets messages for the user, one a line.
     """
 
     def __init__(
         self,
         session: Session,
-        *,
-        standalone: bool = False,
-        log_names: Mapping[str, str] = LOG_NAMES,
-        observer_bytes: int = OBSERVER_BYTES,
+        options: HubOptions,
         epoch_offset_ns: int = 0,
         note: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.session = session
-        self.standalone = standalone
-        self.log_names = dict(log_names)
-        self.board = Board(observer_bytes)
+        self.standalone = options.standalone
+        self.log_names = {**LOG_NAMES, **options.log_names}
+        self.board = Board(options.observer_bytes)
         self.sender_clock = session.info.clock == "sender"
         self.epoch_offset_ns = 0 if self.sender_clock else epoch_offset_ns
         self.note = note
@@ -80,7 +103,7 @@ class Hub:
         self.lost: deque[str] = deque(maxlen=100)
         self.sender_check = SenderCheck()
         self.ended = ""
-        self.owner_deadline_s = 0.0 if standalone else time.monotonic() + reception.OWNER_PATIENCE_S
+        self.owner_deadline_s = 0.0 if options.standalone else time.monotonic() + reception.OWNER_PATIENCE_S
         self._time_ns = 0  # latest virtual time
         self._buffer = bytearray(2 * READ_BYTES)
         self._view = memoryview(self._buffer)
@@ -162,10 +185,10 @@ class Hub:
         while end - offset >= SIZE_KIND.size:
             size, kind = SIZE_KIND.unpack_from(buffer, offset)
             if kind != run and (kind == FRAME or (kind == SECOND_FRAME and peer.also)):
-                self._route(peer, first, offset, last, count, run)
+                self._route(peer, _Run(run, first, last, offset, count))
                 run, first, count, sequence = kind, offset, 0, self.sequence
             if kind != run:
-                self._route(peer, first, offset, last, count, run)
+                self._route(peer, _Run(run, first, last, offset, count))
                 if not self._take_control(peer, offset, end):
                     return offset
                 if not peer.events:
@@ -175,12 +198,12 @@ class Hub:
                 own_stamps = self.sender_clock and peer.stamps
                 continue
             if size != CLASSIC.size and size != FD.size:
-                self._route(peer, first, offset, last, count, run)
+                self._route(peer, _Run(run, first, last, offset, count))
                 raise RecordError("it sent bytes that are no records")
             if end - offset < size:
                 break
             if buffer[offset + LEN_AT] > (8 if size == CLASSIC.size else 64):
-                self._route(peer, first, offset, last, count, run)
+                self._route(peer, _Run(run, first, last, offset, count))
                 raise RecordError("it sent a frame that is too long")
             sequence += 1
             buffer[offset + KIND_AT] = FRAME
@@ -189,7 +212,7 @@ class Hub:
             else:
                 STAMP.pack_into(buffer, offset + STAMP_AT, index, sequence, time_ns)
             last, offset, count = offset, offset + size, count + 1
-        self._route(peer, first, offset, last, count, run)
+        self._route(peer, _Run(run, first, last, offset, count))
         return offset
 
     def _take_control(self, peer: Peer, offset: int, end: int) -> bool:
@@ -201,25 +224,25 @@ class Hub:
         self._control(peer, kind, bytes(self._view[offset : offset + size]))
         return True
 
-    def _route(self, peer: Peer, first: int, end: int, last: int, count: int, run: int) -> None:
-        """Queue `count` stamped frames, the last of which begins at `last`, to all others of their channel."""
-        if not count:
+    def _route(self, peer: Peer, run: _Run) -> None:
+        """Queue stamped frames to all others of their channel."""
+        if not run.count:
             return
         if peer.role != "member":
             raise RecordError(f"it sent frames as {peer.role or 'an unidentified peer'}")
-        chunk = bytes(self._view[first:end])
-        channel = peer.channel if run == FRAME else peer.also
-        self.sequence += count
-        self.frames[channel] += count
-        peer.sent += count
+        chunk = bytes(self._view[run.first : run.end])
+        channel = peer.channel if run.kind == FRAME else peer.also
+        self.sequence += run.count
+        self.frames[channel] += run.count
+        peer.sent += run.count
         if self.sender_clock and peer.stamps:
-            self._time_ns = TIME.unpack_from(self._buffer, last + TIME_AT)[0]
+            self._time_ns = TIME.unpack_from(self._buffer, run.last + TIME_AT)[0]
         if self.sender_check.ids and channel == VEHICLE:
             self.sender_check.watch(self.board.peers, peer, chunk)
-        self.board.deliver(peer, channel, chunk, count)
+        self.board.deliver(peer, channel, chunk, run.count)
         log = self.logs.get(channel)
         if log is not None:
-            log.add(chunk, count)
+            log.add(chunk, run.count)
 
     def _control(self, peer: Peer, kind: int, record: bytes) -> None:
         """Act on a record that is no frame and that the peer may send."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
+from collections.abc import Iterable, Mapping
 from typing import BinaryIO
 
 from tunefree_hil.base.errors import BenchError
@@ -151,3 +152,28 @@ class CandumpLog:
             self._prefixes.clear()
         prefix = self._prefixes[can_id] = f" {self._channel} {id_text(can_id)}#"
         return prefix
+
+
+def open_logs(paths: Mapping[str, str], names: Mapping[str, str], offset_ns: int) -> dict[str, CandumpLog]:
+    """A log for each channel of `paths`. BenchError, and no file left, where one cannot be made."""
+    logs: dict[str, CandumpLog] = {}
+    try:
+        for channel, path in paths.items():
+            logs[channel] = CandumpLog(path, names[channel], offset_ns)
+    except BenchError:
+        for log in logs.values():
+            log.discard()
+        raise
+    return logs
+
+
+def close_logs(logs: Iterable[CandumpLog]) -> None:
+    """Close every log; then the first BenchError of them is raised."""
+    errors: list[BenchError] = []
+    for log in logs:
+        try:
+            log.close()
+        except BenchError as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]

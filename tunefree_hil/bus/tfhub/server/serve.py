@@ -6,18 +6,14 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Any
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bus.tfhub.address import DEFAULT_TRANSPORT, HubInfo, Transport
-from tunefree_hil.bus.tfhub.records import LOG_NAMES
-from tunefree_hil.bus.tfhub.server.connections import OBSERVER_BYTES
-from tunefree_hil.bus.tfhub.server.hub import Hub
+from tunefree_hil.bus.tfhub.address import HubInfo
+from tunefree_hil.bus.tfhub.server.hub import Hub, HubOptions
 from tunefree_hil.bus.tfhub.session import Session
-
-HubClock = Literal["real", "sender"]
 
 
 def say_on_stderr(line: str) -> None:
@@ -26,41 +22,36 @@ def say_on_stderr(line: str) -> None:
     sys.stderr.flush()
 
 
+def announce(info: HubInfo) -> None:
+    """Print the hub's addresses."""
+    where = ", ".join(f"{channel} {address}" for channel, address in info.addresses.items())
+    say_on_stderr(f"{info.session} runs, pid {info.pid}: {where}")
+
+
 def serve(
-    session: str = "default",
+    session: str,
+    options: HubOptions = HubOptions(),  # noqa: B008
     *,
-    transport: Transport = DEFAULT_TRANSPORT,
-    clock: HubClock = "real",
-    standalone: bool = False,
-    log_names: Mapping[str, str] = LOG_NAMES,
-    observer_bytes: int = OBSERVER_BYTES,
+    ready: Callable[[HubInfo], None] = announce,
     note: Callable[[str], None] = say_on_stderr,
-    ready: Callable[[HubInfo], None] | None = None,
 ) -> str:
     """Route until the end; the reason of the end is returned.
 
     `session`: a name, or a directory of mode 0700. It ends when its owner goes (or never comes within 10 s), or, when
-    `standalone`, at SIGINT or SIGTERM. With an owner SIGINT is left to the owner, which still wants its log.
+    standalone, at SIGINT or SIGTERM. With an owner SIGINT is left to the owner, which still wants its log.
     InputError when a hub runs there already or the directory is not private.
     """
+    transport, clock = options.transport, options.clock
     if transport not in ("unix", "tcp") or clock not in ("real", "sender"):
         raise InputError(f"no transport {transport!r} with clock {clock!r}", hint="unix or tcp; real or sender")
-    for name in log_names.values():
+    for name in options.log_names.values():
         if not name.isalnum():  # cantools reads letters and digits only as a channel
             raise InputError(f"{name!r} cannot be a channel's name in a log", hint="letters and digits")
     claim = Session(session, transport, clock)
-    hub = Hub(
-        claim,
-        standalone=standalone,
-        log_names={**LOG_NAMES, **log_names},
-        observer_bytes=observer_bytes,
-        epoch_offset_ns=_epoch_offset_ns(),
-        note=lambda line: note(f"{session}: {line}"),
-    )
-    before = _take_signals(hub, standalone)
+    hub = Hub(claim, options, _epoch_offset_ns(), lambda line: note(f"{session}: {line}"))
+    before = _take_signals(hub, options.standalone)
     try:
-        if ready is not None:
-            ready(claim.info)
+        ready(claim.info)
         hub.run()
     finally:
         for number, handler in before.items():

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tunefree_hil.figures import dots, style
+from tools.measures.figures import dots
+from tunefree_hil.figures import style
 
 ROWS = {"tuned": [0.31, 0.5, 0.3], "random search": [0.33, 0.35, 0.31], "mrac_on": [0.38], "rule_based": [1.2]}
 
@@ -34,5 +35,5 @@ def test_without_a_line_to_beat_there_is_no_claim() -> None:
 
 
 def test_they_are_written_as_a_picture(tmp_path: Path) -> None:
-    path = dots.write_dots(tmp_path / "dots.png", ROWS, "score", "mrac_on")
+    path = style.save(dots.draw_dots(ROWS, "score", "mrac_on"), tmp_path / "dots.png")
     assert path.read_bytes()[:4] == b"\x89PNG"

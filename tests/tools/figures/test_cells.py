@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from tunefree_hil.figures.learning import cells
+from tools.measures.figures import cells
+from tunefree_hil.figures import style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,5 +43,5 @@ def test_equal_ratios_have_equal_colours_in_both_panels_and_no_change_is_the_mid
 
 
 def test_they_are_written_as_a_picture(tmp_path: Path) -> None:
-    path = cells.write_cells(tmp_path / "cells.png", {"tuned": RATIOS}, DOWN, ACROSS, "A title")
+    path = style.save(cells.draw_cells({"tuned": RATIOS}, DOWN, ACROSS, "A title"), tmp_path / "cells.png")
     assert path.read_bytes()[:4] == b"\x89PNG"

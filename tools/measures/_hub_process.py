@@ -1,4 +1,4 @@
-"""Starts a hub as a process of its own, and owns it."""
+"""Starts a hub as a process of its own, and owns it: for measures and tests (a bench starts `tunefree-hil hub`)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from tunefree_hil.base.own_python import own_python
 from tunefree_hil.bus.tfhub import address
 from tunefree_hil.bus.tfhub.address import DEFAULT_TRANSPORT, Transport
 from tunefree_hil.bus.tfhub.owner import Owner
-from tunefree_hil.bus.tfhub.records import LOG_NAMES
 
 READY = b"ready"
 END_S = 5.0
@@ -65,11 +64,10 @@ def start_hub(
     *,
     clock: str = "real",
     transport: Transport = DEFAULT_TRANSPORT,
-    vehicle_log_name: str = LOG_NAMES["vehicle"],
 ) -> HubProcess:
     """A hub in its own process with us as owner. InputError when one runs in that session, BenchError when it fails."""
     command = own_python("tunefree_hil.bus.tfhub", "--session", session, "--clock", clock, "--say-ready")
-    command += ["--vehicle-log-name", vehicle_log_name] + (["--tcp"] if transport == "tcp" else [])
+    command += ["--tcp"] if transport == "tcp" else []
     words = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process; a pipe could fill and block it
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=words)
     try:

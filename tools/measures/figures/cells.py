@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -24,13 +23,6 @@ class CellAxis(NamedTuple):
 
     label: str
     values: Sequence[float]
-
-
-def write_cells(
-    path: Path, panels: Mapping[str, NDArray[np.float64]], down: CellAxis, across: CellAxis, title: str
-) -> Path:
-    """Write the figure of `draw_cells` to `path` as PNG."""
-    return style.save(draw_cells(panels, down, across, title), path)
 
 
 def draw_cells(panels: Mapping[str, NDArray[np.float64]], down: CellAxis, across: CellAxis, title: str) -> Figure:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tunefree_hil.figures.learning.velocity_free_run import VelocityRun, draw_runs, write_runs
+from tools.measures.figures.velocity_free_run import VelocityRun, draw_runs
+from tunefree_hil.figures.style import save
 
 
 def a_run(words: str) -> VelocityRun:
@@ -20,7 +21,7 @@ def test_a_column_a_run_with_every_model_in_both_panels(tmp_path: Path) -> None:
     assert len(figure.axes) == 4
     assert all(len(axes.lines) == 3 for axes in figure.axes)
     assert {axes.get_title(loc="left") for axes in figure.axes} >= {"one car", "another"}
-    assert write_runs(tmp_path / "a.png", [a_run("one car")], "Real cars").stat().st_size > 5000
+    assert save(draw_runs([a_run("one car")], "Real cars"), tmp_path / "a.png").stat().st_size > 5000
 
 
 def test_nothing_to_show_is_said() -> None:

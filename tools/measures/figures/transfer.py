@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -26,11 +25,6 @@ class TransferGrades(NamedTuple):
     model: Numbers
     vehicle: Numbers
     rho: float
-
-
-def write_transfer(path: Path, vehicles: Mapping[str, Mapping[str, TransferGrades]]) -> Path:
-    """Write the figure of `draw_transfer` to `path` as PNG."""
-    return style.save(draw_transfer(vehicles), path)
 
 
 def draw_transfer(vehicles: Mapping[str, Mapping[str, TransferGrades]]) -> Figure:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -33,17 +32,6 @@ class ParameterSetResult(NamedTuple):
     def is_without_failures(self) -> bool:
         """Whether every drive was finished without a re-plan."""
         return not self.replans and not self.failed
-
-
-def write_demonstration(
-    path: Path,
-    signals: Mapping[str, Mapping[str, float]],
-    tuned: Mapping[str, Sequence[ParameterSetResult]],
-    manual: ParameterSetResult,
-    sentence: str,
-) -> Path:
-    """Write the figure of `draw_demonstration` to `path` as PNG."""
-    return style.save(draw_demonstration(signals, tuned, manual, sentence), path)
 
 
 def draw_demonstration(
@@ -76,10 +64,8 @@ def _draw_gap(axes: Axes, signals: Mapping[str, Mapping[str, float]]) -> None:
         shares = [signals[name][stage] / signals[name]["before"] for name in names]
         positions = [i + (row - 1.5) * width for i in range(len(names))]
         axes.barh(positions, shares, height=0.9 * width, color=LOOKS[stage].colour, label=stage)
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(len(names) - 0.45, -0.55)
     style.dress(axes, "free-run RMS on holdout blocks, share of the error before", "", "simulation against log")
-    axes.grid(False, axis="y")
+    style.name_bars(axes, names)
     axes.legend(fontsize=style.FONT_PT - 1, frameon=False, ncols=len(STAGES), **LEGEND_BELOW)
 
 
@@ -100,14 +86,11 @@ def _draw_scores(
     ends = [manual.by_scenario[road] for road in roads]
     line = {"color": style.INK, "marker": "|", "ms": 40, "mew": 2.5, "ls": "", "zorder": 3}
     axes.plot(ends, range(len(roads)), label=f"best manual set: {_describe_results([manual])}", **line)
-    axes.set_yticks(range(len(roads)), roads)
-    axes.set_ylim(len(roads) - 0.45, -0.55)
     axes.set_xscale("log")
     style.plain_numbers(axes.xaxis)
-    style.dress(
-        axes, f"score on the vehicle (lower is better; {FAILURE_SCORE:g}: failed)", "", "roads not used by a search"
-    )
-    axes.grid(False, axis="y")
+    label = f"score on the vehicle (lower is better; {FAILURE_SCORE:g}: failed)"
+    style.dress(axes, label, "", "roads not used by a search")
+    style.name_bars(axes, roads)
     axes.legend(fontsize=style.FONT_PT - 1, frameon=False, markerscale=0.7, **LEGEND_BELOW)
 
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tunefree_hil.figures.gap.demonstration import STAGES, ParameterSetResult, draw_demonstration, write_demonstration
+from tools.measures.figures.demonstration import STAGES, ParameterSetResult, draw_demonstration
+from tunefree_hil.figures.style import save
 
 SIGNALS = {
     "yaw_rate_radps": {"before": 0.2, "recalibrated": 0.15, "after": 0.02, "floor": 0.01},
@@ -35,7 +36,7 @@ def test_every_stage_of_every_signal_has_its_bar_and_every_road_its_discs(tmp_pa
     ]
     assert list(drives.lines[-1].get_xdata()) == [0.6, 0.4]
     assert figure.get_suptitle() == "Hidden: a. Named: a"
-    path = write_demonstration(tmp_path / "demo.png", SIGNALS, tuned, MANUAL, "Named: a")
+    path = save(draw_demonstration(SIGNALS, tuned, MANUAL, "Named: a"), tmp_path / "demo.png")
     assert path.stat().st_size > 10_000
 
 

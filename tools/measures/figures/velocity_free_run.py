@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tunefree_hil.figures import style
@@ -24,11 +23,6 @@ class VelocityRun(NamedTuple):
     yaw_rate_radps: Any
     speeds: Mapping[str, Any]
     yaw_rates: Mapping[str, Any]
-
-
-def write_runs(path: Path, runs: Sequence[VelocityRun], title: str) -> Path:
-    """Write the figure of `draw_runs` to `path` as PNG."""
-    return style.save(draw_runs(runs, title), path)
 
 
 def draw_runs(runs: Sequence[VelocityRun], title: str) -> Figure:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,11 +15,6 @@ if TYPE_CHECKING:
 
 SPREAD = 0.32  # height of a row over which its dots are spread, so that equal scores are visible
 WIDE = 6.0  # from this ratio of the largest to the smallest score on the axis is logarithmic
-
-
-def write_dots(path: Path, rows: Mapping[str, Sequence[float]], label: str, best: str = "") -> Path:
-    """Write the figure of `draw_dots` to `path` as PNG."""
-    return style.save(draw_dots(rows, label, best), path)
 
 
 def draw_dots(rows: Mapping[str, Sequence[float]], what: str, best: str = "") -> Figure:
@@ -38,9 +32,8 @@ def draw_dots(rows: Mapping[str, Sequence[float]], what: str, best: str = "") ->
         axes.axvline(rows[best][0], color=style.MANUAL.colour, linestyle="--", linewidth=1.8, zorder=2)
     style.dress(axes, what, "")
     _scale(axes, [score for scores in rows.values() for score in scores])
-    axes.set_yticks(range(len(rows)), list(rows), fontsize=style.FONT_PT)
-    axes.set_ylim(len(rows) - 0.4, -0.6)  # the first on top
-    axes.grid(False, axis="y")
+    style.name_bars(axes, list(rows), 0.4)
+    axes.tick_params(axis="y", labelsize=style.FONT_PT)
     style.headline(figure, _sentence(rows, best))
     return figure
 

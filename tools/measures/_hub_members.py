@@ -1,6 +1,6 @@
 """Measures a hub between real processes: round trips, a burst with three members, lockstep ticks.
 
-For `tools/measure hub`; no test depends on these numbers.
+For `measure hub`. Started as a process of its own, this module is one of the members: PART VEHICLE BENCH NUMBER.
 """
 
 from __future__ import annotations
@@ -13,12 +13,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tunefree_hil.base.own_python import own_python
+from tools.measures._hub_process import HubProcess, start_hub
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.tfhub.address import DEFAULT_TRANSPORT, Transport
 from tunefree_hil.bus.tfhub.pair import HubPair
 from tunefree_hil.bus.tfhub.plugin import HubBus
-from tunefree_hil.bus.tfhub.start import HubProcess, start_hub
 
 PATIENCE_S = 30.0
 STOP_ID = 0x7FF
@@ -28,21 +27,19 @@ TICK_FRAMES = 2  # TICK and DONE of phase 0
 PHASE_FRAMES = (12, 3)  # vehicle frames a tick of ECU and controller, about those of the first vehicle
 
 
-def measure_hub(rounds: int = 5000, transport: Transport = DEFAULT_TRANSPORT, log: bool = True) -> dict[str, float]:
+def measure_hub(rounds: int = 5000, transport: Transport = DEFAULT_TRANSPORT) -> dict[str, float]:
     """Round trip (us, p50 and p99), frames/s to each of two receivers, and a lockstep tick (us) of bus work alone.
 
-    `rounds` of each; the burst has 4 frames for each round. With `log` the hub records all the while, as in an episode.
+    `rounds` of each; the burst has 4 frames for each round. The hub records all the while, as in an episode.
     """
     with tempfile.TemporaryDirectory() as folder:
         session = str(Path(folder) / "hub")
         with start_hub(session, clock="sender", transport=transport) as hub:
-            if log:
-                hub.owner.start_log({name: Path(folder) / f"{name}.log" for name in ("vehicle", "bench")})
+            hub.owner.start_log({name: Path(folder) / f"{name}.log" for name in ("vehicle", "bench")})
             trips_us = _round_trips(hub, rounds)
             rate_hz = _burst(hub, 4 * rounds)
             ticks_us = _ticks(hub, rounds)
-            if log:
-                hub.owner.stop_log()
+            hub.owner.stop_log()
     return {
         "rounds": float(rounds),
         "round_trip_p50_us": _quantile(trips_us, 0.50),
@@ -61,7 +58,7 @@ def _quantile(values: list[float], share: float) -> float:
 @contextmanager
 def _peer(kind: str, hub: HubProcess, number: int = 0) -> Iterator[subprocess.Popen[bytes]]:
     """A process of this module that plays one part, and ends on STOP_ID."""
-    command = own_python("tunefree_hil.bus.tfhub.measure", kind, hub.vehicle, hub.bench, str(number))
+    command = [sys.executable, "-m", "tools.measures._hub_members", kind, hub.vehicle, hub.bench, str(number)]
     process = subprocess.Popen(command)
     try:
         yield process

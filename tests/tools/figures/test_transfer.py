@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tunefree_hil.figures.tuning.transfer import TransferGrades, draw_transfer, write_transfer
+from tools.measures.figures.transfer import TransferGrades, draw_transfer
+from tunefree_hil.figures.style import save
 
 GRADES = np.geomspace(0.1, 10.0, 60)
 
@@ -22,7 +23,7 @@ def test_it_names_the_worse_vehicle_and_draws_every_set(tmp_path: Path) -> None:
     drawn = [len(dots.get_offsets()) for axes in figure.axes for dots in axes.collections]
     assert drawn == [GRADES.size] * 3
     assert "physics 0.10" in figure.axes[0].get_title(loc="left")
-    assert write_transfer(tmp_path / "transfer.png", vehicles).stat().st_size > 20_000
+    assert save(draw_transfer(vehicles), tmp_path / "transfer.png").stat().st_size > 20_000
 
 
 def test_without_a_hybrid_it_claims_nothing() -> None:
