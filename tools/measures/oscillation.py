@@ -17,6 +17,7 @@ from scipy import signal as processing
 
 from tools.measures._ledger import ROOT
 from tools.measures._summary import rounded
+from tools.measures.parity import bench_files
 from tunefree_hil.base.course import Course
 from tunefree_hil.bench import Bench, load
 from tunefree_hil.bench.batch import Batch, Driven, Job
@@ -29,7 +30,6 @@ from tunefree_hil.grade.score import FINISHED
 Array = np.ndarray
 
 VALUE = "drives of random gain sets that the metric judges otherwise than an independent spectral check, percent"
-BENCHES = ("bench_configs/mkz_complete.toml", "bench_configs/van_complete.toml")
 BORDER = 1.5  # ratio to a limit, up or down: such drives are counted apart, too
 
 
@@ -106,15 +106,17 @@ class JudgedDrive(NamedTuple):
         return not any(1.0 / BORDER < ratio < BORDER for ratio in (self.report.worst_ratio, self.check.ratio))
 
 
-def measure(sets: int = 200, seed: str = "", benches: str = ",".join(BENCHES), model: str = "") -> dict[str, Any]:
+def measure(sets: int = 200, seed: str = "", benches: str = "", model: str = "") -> dict[str, Any]:
     """`sets` gain sets of the published box on each vehicle's verify model, over its search and verify scenarios.
+
+    benches: bench files with commas between; '' is one a vehicle.
 
     seed: any text; '' is the hash of the commit. sets: fewer while developing, with another seed.
     """
     used_seed = seed or _commit()
     drives: list[JudgedDrive] = []
-    for path in benches.split(","):
-        bench = load(str(ROOT / path) if not path.startswith("/") else path)
+    for path in bench_files(benches):
+        bench = load(path)
         drives += _judge_bench(bench, model or bench.spec.verify_model, sets, used_seed)
     plain = [drive for drive in drives if drive.is_plain]
     differing = [drive for drive in drives if drive.differs]

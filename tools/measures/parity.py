@@ -56,7 +56,7 @@ def measure(
     """
     ledger = Ledger(Path(folder) / "parity")
     started = time.monotonic()
-    parts = [part for path in _benches(benches) for part in _parts(path, scenarios, models)]
+    parts = [part for path in bench_files(benches) for part in _parts(path, scenarios, models)]
     found: list[Found] = []
     for i, part in enumerate(parts, 1):
         share_s = 60.0 * minutes * i / len(parts) if minutes else float("inf")
@@ -127,7 +127,7 @@ def _bits(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(values, dtype=np.float64).view(np.uint64)
 
 
-def _benches(names: str) -> list[Path]:
+def bench_files(names: str) -> list[Path]:
     """The bench files named, else the first of each vehicle: the others drive the same models and scenarios."""
     if names:
         return [Path(name) for name in names.split(",")]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tunefree_hil.base.course import Course
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.base.open_loop_map import MAP_FILE, Refusal, read_triples
 from tunefree_hil.bus.dbc.check_vehicle import check_vehicle, one_error
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.check_drive import check_drive
@@ -18,6 +19,7 @@ from tunefree_hil.config.schema import BenchSpec, ModelSpec, ScenarioSpec, Vehic
 from tunefree_hil.episode.feasible import limits_of, require_feasible
 from tunefree_hil.episode.scenario import build_course
 from tunefree_hil.roads import search_roads, verify_roads
+from tunefree_hil.roads.drive_ability import DriveAbility, ability_from_map
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,8 @@ def load(path: Path | str) -> Bench:
     names = dict.fromkeys([*spec.scenarios, *spec.verify_scenarios])
     scenarios = {name: load_scenario(name, spec.path) for name in names}
     if spec.roads is not None:
-        searched, verified = search_roads(vehicle, spec.roads), verify_roads(vehicle, spec.roads)
+        drive = _drive_of(spec, vehicle)
+        searched, verified = search_roads(vehicle, spec.roads, drive), verify_roads(vehicle, spec.roads, drive)
         scenarios |= {road.name: road for road in searched + verified}
         spec = with_scenarios(
             spec,
@@ -66,6 +69,15 @@ def load(path: Path | str) -> Bench:
     _refuse_namesakes(spec, scenarios)
     dt_s = vehicle.tick_ms * 1e-3
     return Bench(spec, vehicle, Codec(vehicle), load_weights(spec.weights, spec.path), scenarios, dt_s)
+
+
+def _drive_of(spec: BenchSpec, vehicle: VehicleSpec) -> DriveAbility | None:
+    """What the drive gives, from the open-loop map of the model that is tuned on; None where it has no map."""
+    path = Path(load_model(spec.model, spec.path).folder) / MAP_FILE
+    if not path.is_file():
+        return None
+    refusal = Refusal("no_calibration", "bad_calibration", "learn the map again")
+    return ability_from_map(read_triples(path, refusal), vehicle.nominal.rest_pedal_frac)
 
 
 def whole_vehicle(name: Path | str, near: Path | str | None = None) -> VehicleSpec:

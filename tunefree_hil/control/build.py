@@ -17,7 +17,7 @@ from tunefree_hil.control.follower import PREVIEW_S, PreviewTimes, ReplanRules, 
 from tunefree_hil.control.parameters import BY_NAME, check_complete, middle_of
 from tunefree_hil.control.steering_map import SteeringMap, data_sheet_map
 
-STEER_PREVIEW, PEDAL_PREVIEW = "steer.preview", "speed.preview"
+STEER_PREVIEW, PEDAL_PREVIEW = "steer.preview", "speed.preview_s"
 RISE_PER_TAU = 2.2  # 10 to 90 % rise time of a first-order lag
 
 
@@ -43,13 +43,9 @@ def identified_of_data_sheet(vehicle: VehicleConstants) -> Identified:
 
 
 def preview_times(values: Mapping[str, float], delays: LoopDelays, cutoff_hz: float) -> PreviewTimes:
-    """Preview of the parts that ask for one by a parameter, in shares of the identified dead time + lag."""
+    """Preview of the parts that ask for one by a parameter: steering in shares of its dead time + lag, pedals in s."""
     steer_s = delays.steer_dead_time_s + delays.steer_lag_s + delays.bus_s + butterworth_delay_s(cutoff_hz)
-    pedal_s = delays.drive_dead_time_s + delays.drive_lag_s + delays.bus_s
-    return PreviewTimes(
-        values.get(STEER_PREVIEW, 0.0) * steer_s,
-        values[PEDAL_PREVIEW] * pedal_s if PEDAL_PREVIEW in values else PREVIEW_S,
-    )
+    return PreviewTimes(values.get(STEER_PREVIEW, 0.0) * steer_s, values.get(PEDAL_PREVIEW, PREVIEW_S))
 
 
 def load_parts(names: PartNames) -> list[Any]:

@@ -164,7 +164,6 @@ def _check_scenarios(spec: BenchSpec) -> list[DoctorFinding]:
 def _check_start(file: Path, known: Sequence[DoctorFinding]) -> list[DoctorFinding]:
     """Faults that `drive` and `tune` detect before they start a process, without the known ones; each once."""
     from tunefree_hil.bench import ControllerFor, load, parameters_of, require_buildable
-    from tunefree_hil.control.parameters import NAMES
     from tunefree_hil.jobs.options.records import TuneOptions
     from tunefree_hil.jobs.tune.options import make_tune_plan
 
@@ -175,9 +174,9 @@ def _check_start(file: Path, known: Sequence[DoctorFinding]) -> list[DoctorFindi
     spec = bench.spec
 
     def controller() -> None:
-        values = parameters_of(bench)
         start = bytes.fromhex(bench.scenarios[spec.scenarios[0]].hash)[:6]
-        ControllerFor(bench)(start, {index: values[name] for index, name in enumerate(NAMES)})
+        made = ControllerFor(bench)
+        made(start, made.indexed(parameters_of(bench)))
 
     def search() -> None:
         named = spec.tune.set or spec.tune.parameters

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tunefree_hil.config.schema import VehicleSpec
+from tunefree_hil.roads.drive_ability import DriveAbility
 
 GRAVITY_MPS2 = 9.81
 
@@ -54,6 +55,7 @@ class RoadLimits(NamedTuple):
         wheelbase_m: Wheelbase; 1 where the wheel limits are unknown.
         understeer_s2pm: Growth of wheel angle over curvature with speed squared.
         decel_mps2: Deceleration, positive.
+        drive: What the drive gives by speed; None where no map of it is known.
     """
 
     speed_mps: float
@@ -64,6 +66,7 @@ class RoadLimits(NamedTuple):
     lateral_accel_mps2: float
     accel_mps2: float
     decel_mps2: float
+    drive: DriveAbility | None = None
 
     def curvature_1pm(self, speed_mps: float | np.ndarray) -> float | np.ndarray:
         """Greatest curvature at a speed: by the steering range, understeer included."""
@@ -80,7 +83,9 @@ class RoadLimits(NamedTuple):
     def accel_at_mps2(self, speed_mps: float | np.ndarray) -> float | np.ndarray:
         """Greatest acceleration at a speed, the slope's share included."""
         powered = self.accel_mps2 * CRITERIA.full_accel_speed_mps / np.maximum(speed_mps, CRITERIA.full_accel_speed_mps)
-        return np.minimum(powered, by_iso_speed(speed_mps, CRITERIA.max_accel_slow_mps2, CRITERIA.max_accel_fast_mps2))
+        comfortable = by_iso_speed(speed_mps, CRITERIA.max_accel_slow_mps2, CRITERIA.max_accel_fast_mps2)
+        given = np.inf if self.drive is None else self.drive.accel_at_mps2(speed_mps)
+        return np.minimum(np.minimum(powered, comfortable), given)
 
     def decel_at_mps2(self, speed_mps: float | np.ndarray) -> float | np.ndarray:
         """Greatest deceleration at a speed, positive, the slope's share included."""
@@ -102,8 +107,8 @@ def by_iso_speed(speed_mps: float | np.ndarray, slow: float, fast: float) -> flo
     return slow + (fast - slow) * share
 
 
-def road_limits(vehicle: VehicleSpec) -> RoadLimits:
-    """The limits of the roads that are made for a vehicle, from its [limits] and [nominal]."""
+def road_limits(vehicle: VehicleSpec, drive: DriveAbility | None = None) -> RoadLimits:
+    """The limits of the roads made for a vehicle, from its [limits] and [nominal] and what its drive gives."""
     limits, nominal = vehicle.limits, vehicle.nominal
     wheel_rad, wheel_rate_radps, wheelbase_m = math.inf, math.inf, 1.0
     if nominal.wheelbase_m and nominal.steer_ratio:
@@ -112,7 +117,7 @@ def road_limits(vehicle: VehicleSpec) -> RoadLimits:
         wheel_rate_radps = CRITERIA.max_steer_rate_share * limits.steer_rate_radps / nominal.steer_ratio
     share = CRITERIA.max_longitudinal_share
     return RoadLimits(
-        speed_mps=min(limits.speed_mps, CRITERIA.max_speed_mps),
+        speed_mps=min(limits.speed_mps, CRITERIA.max_speed_mps, math.inf if drive is None else drive.top_speed_mps()),
         wheel_rad=wheel_rad,
         wheel_rate_radps=wheel_rate_radps,
         wheelbase_m=wheelbase_m,
@@ -122,6 +127,7 @@ def road_limits(vehicle: VehicleSpec) -> RoadLimits:
         ),
         accel_mps2=share * max(limits.accel_mps2[1], 0.0),
         decel_mps2=share * max(-limits.accel_mps2[0], 0.0),
+        drive=drive,
     )
 
 

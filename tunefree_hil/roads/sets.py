@@ -12,6 +12,7 @@ from random import Random
 from tunefree_hil.config.check import parse_road_set
 from tunefree_hil.config.schema import RoadsSpec, ScenarioSpec, VehicleSpec, with_source
 from tunefree_hil.roads.design import PlannedRoad, plan_roads
+from tunefree_hil.roads.drive_ability import DriveAbility
 from tunefree_hil.roads.families import FAMILIES
 from tunefree_hil.roads.generation import RoadLabel, make_road, scenario_text
 from tunefree_hil.roads.limits import RoadLimits, road_limits
@@ -22,7 +23,9 @@ TAGS = {"families": "s", PUBLIC: "p", "robust": "r"}  # before the seed in the n
 VERIFY_SEEDS = 10_000  # a verification's seed lies so much above that of its search; seeds of bench files lie below
 
 
-def road_set(vehicle: VehicleSpec, name: str, count: int, seed: int, *, offsets: bool = True) -> list[ScenarioSpec]:
+def road_set(
+    vehicle: VehicleSpec, name: str, count: int, seed: int, *, offsets: bool = True, drive: DriveAbility | None = None
+) -> list[ScenarioSpec]:
     """The roads of a set, all within the vehicle's limits, with unique names.
 
     Args:
@@ -30,12 +33,13 @@ def road_set(vehicle: VehicleSpec, name: str, count: int, seed: int, *, offsets:
         count: Number of roads; public229 always has 229.
         seed: Another one gives other roads; of public229 it draws starts and noise only.
         offsets: Whether vehicles start a little beside their road.
+        drive: What the drive gives by speed (drive_ability.py); None: the data sheet's acceleration is all that counts.
 
     Raises:
         InputError: An unknown set, a count that does not fit, or a vehicle that no road fits.
     """
     chosen = parse_road_set(name if name == PUBLIC else f"{name}:{count}")
-    limits = road_limits(vehicle)
+    limits = road_limits(vehicle, drive)
     planned = _plan(chosen.name, chosen.count, seed, limits)
     tag, stream = f"{TAGS[name]}{seed}", name if name == PUBLIC else f"{name} {seed}"
     return [
@@ -44,21 +48,21 @@ def road_set(vehicle: VehicleSpec, name: str, count: int, seed: int, *, offsets:
     ]
 
 
-def search_roads(vehicle: VehicleSpec, roads: RoadsSpec) -> list[ScenarioSpec]:
+def search_roads(vehicle: VehicleSpec, roads: RoadsSpec, drive: DriveAbility | None = None) -> list[ScenarioSpec]:
     """The roads of a bench file for the search."""
-    return _from_text(vehicle, roads.search, roads.seed)
+    return _from_text(vehicle, roads.search, roads.seed, drive)
 
 
-def verify_roads(vehicle: VehicleSpec, roads: RoadsSpec) -> list[ScenarioSpec]:
+def verify_roads(vehicle: VehicleSpec, roads: RoadsSpec, drive: DriveAbility | None = None) -> list[ScenarioSpec]:
     """The roads of a bench file for the verification, by a seed that no search has."""
-    return _from_text(vehicle, roads.verify, roads.seed + VERIFY_SEEDS)
+    return _from_text(vehicle, roads.verify, roads.seed + VERIFY_SEEDS, drive)
 
 
-def _from_text(vehicle: VehicleSpec, text: str, seed: int) -> list[ScenarioSpec]:
+def _from_text(vehicle: VehicleSpec, text: str, seed: int, drive: DriveAbility | None) -> list[ScenarioSpec]:
     if not text:
         return []
     chosen = parse_road_set(text)
-    return road_set(vehicle, chosen.name, chosen.count, seed)
+    return road_set(vehicle, chosen.name, chosen.count, seed, drive=drive)
 
 
 def _plan(name: str, count: int, seed: int, limits: RoadLimits) -> list[PlannedRoad]:

@@ -20,7 +20,7 @@ COAST_MPS2 = -0.4
 # Both pedals at rest give the coasting drag, as in a map that was learned from logs.
 MAP = from_triples([0.0, 0.0, 0.0, 0.0], [-5.0, COAST_MPS2 - 0.05, COAST_MPS2 + 0.05, 5.0], [-0.5, -0.15, 0.15, 0.8])
 DELAYS = LoopDelays(drive_dead_time_s=0.1, drive_lag_s=0.1, bus_s=0.02)
-OFF = {"speed.preview": 0.0, "speed.predict": 0.0, "speed.observer_radps": 0.0, "pedals.hysteresis_mps2": 0.0}
+OFF = {"speed.preview_s": 0.0, "speed.predict": 0.0, "speed.observer_radps": 0.0, "pedals.hysteresis_mps2": 0.0}
 
 
 def make(part=pid_preview, **values):

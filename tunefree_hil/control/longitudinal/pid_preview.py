@@ -3,8 +3,8 @@
 The paper's plain form is pid.py (eq. 2); its gains, limits and stop rule are used here as they are. Four things are
 added, each with a parameter of its own, 0 for off:
 
-- `speed.preview`: the reference's acceleration is taken when the pedals will have acted, so many times the identified
-  dead time + lag later; 0 takes it now;
+- `speed.preview_s`: the reference's acceleration is taken so much later, when the pedals and the driveline will have
+  acted (the plain form: 0.2 s); 0 takes it now;
 - `speed.predict`: feedback on the speed and station error that will be there after that time, from the feedback
   accelerations that are under way (Smith 1957);
 - `speed.observer_radps`: bandwidth of an observer of what acts beside the commanded acceleration (grade, wind, drag,
@@ -203,7 +203,7 @@ def choose_pedal(
 
 
 OWN = (
-    Tunable("speed.preview", "1", 0.0, 4.0, "linear"),
+    Tunable("speed.preview_s", "s", 0.0, 0.5, "linear"),
     Tunable("speed.predict", "1", 0.0, 2.0, "linear"),
     Tunable("speed.observer_radps", "rad/s", 0.0, 4.0, "linear"),
     Tunable("pedals.hysteresis_mps2", "m/s2", 0.0, 0.4, "linear"),
