@@ -205,7 +205,7 @@ def choose_pedal(
 OWN = (
     Tunable("speed.preview_s", "s", 0.0, 0.5, "linear"),
     Tunable("speed.predict", "1", 0.0, 2.0, "linear"),
-    Tunable("speed.observer_radps", "rad/s", 0.0, 4.0, "linear"),
-    Tunable("pedals.hysteresis_mps2", "m/s2", 0.0, 0.4, "linear"),
+    Tunable("speed.observer_radps", "rad/s", 0.0, 2.0, "linear"),
+    Tunable("pedals.hysteresis_mps2", "m/s2", 0.0, 0.3, "linear"),
 )
 CONTROLLER = Recipe(make, tunables_of("station.") + tunables_of("speed.") + OWN)
