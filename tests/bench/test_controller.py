@@ -17,7 +17,15 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, ControllerFor, load, needed_messages, parameters_of, require_in_box
 from tunefree_hil.bench.controller import calibration_of, constants_of
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.control.parameters import BASELINES, NAMES, PARAMETERS, box32, round32
+from tunefree_hil.control.parameters import (
+    BASELINES,
+    NAMES,
+    PARAMETERS,
+    BoxChoice,
+    box32,
+    round32,
+    tunable_in_box,
+)
 
 
 @pytest.fixture
@@ -31,7 +39,12 @@ def with_controller(folder: Path, text: str) -> Bench:
 
 @pytest.mark.parametrize("row", PARAMETERS, ids=lambda row: row.tunable.name)
 def test_the_edges_of_a_box_are_inside_and_beyond_is_not(row) -> None:
-    name, low, high = row.tunable.name, row.tunable.low, row.tunable.high
+    """Of the wider box: a winner of a search in it can be pasted into a bench file."""
+    name, published = row.tunable.name, row.tunable
+    widest = tunable_in_box(name, BoxChoice.DEFAULT)
+    low, high = widest.low, widest.high
+    require_in_box(name, published.low)
+    require_in_box(name, published.high)
     fixed = row.manual if row.fixed is None else row.fixed
     for value in (low, high, *box32(low, high), round32(low), round32(high), row.manual, fixed):
         require_in_box(name, value)
@@ -52,7 +65,7 @@ def test_values_between_choices_or_below_the_box(name: str, value: float) -> Non
 def test_the_shipped_zeros_are_named_in_the_hint() -> None:
     with pytest.raises(InputError) as caught:
         require_in_box("lqr.q2", 0.5)
-    assert caught.value.hint == "give 0.001 to 0.1, or 0 as shipped"
+    assert caught.value.hint == "give 1e-06 to 0.1, or 0 as shipped"
     with pytest.raises(InputError) as caught:
         require_in_box("mrac.enable", 0.5)
     assert caught.value.hint == "give 0 or 1"

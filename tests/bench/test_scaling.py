@@ -13,9 +13,9 @@ from tests.bench.tiny import write_bench
 from tests.house import ROOT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load, model_of, parameters_of
-from tunefree_hil.bench.scaling import mass_of, own_times, scaled
+from tunefree_hil.bench.scaling import mass_of, model_numbers, own_times, scaled
 from tunefree_hil.bench.simulator import Job, SimulatedDrive, Simulator
-from tunefree_hil.config.schema import ActuatorSpec, Interval
+from tunefree_hil.config.schema import ActuatorSpec, Interval, value_of
 from tunefree_hil.jobs.tune.margins import EFFECTS
 from tunefree_hil.plant import reference
 
@@ -127,3 +127,23 @@ def test_a_plant_of_ones_own_says_what_it_is_asked_for_or_is_named(bench: Bench,
     with pytest.raises(InputError, match="mass_kg"):
         mass_of(own)
     assert mass_of(model) == 1736.35 and mass_of(model_of(bench, "mkz_nominal")) == 2080.0
+
+
+def test_single_numbers_of_a_model_have_factors_of_their_own(bench: Bench) -> None:
+    model = model_of(bench, "mkz_learned")
+    name = "brake_dead_band.half_width_frac"
+    changed = scaled(model, {"steer.dead_time_s": 1.5, name: 0.5, "lag": 2.0})
+    before, after = model.actuators["steer"], changed.actuators["steer"]
+    assert after.dead_time_s == pytest.approx(1.5 * value_of(before.dead_time_s))
+    assert after.natural_hz == pytest.approx(0.5 * value_of(before.natural_hz))
+    assert changed.actuators["brake"].dead_time_s == value_of(model.actuators["brake"].dead_time_s)
+    assert changed.effects[0].params["half_width_frac"] == 0.5 * model.effects[0].params["half_width_frac"]
+    known = model_numbers(model)[name]
+    assert isinstance(known, Interval) and known.low < known.value < known.high
+
+
+@pytest.mark.parametrize("scale", [{"steer.mass": 1.1}, {"wings.lag_s": 1.1}, {"steer.gain": float("nan")}])
+def test_a_number_that_the_model_does_not_have_is_refused(bench: Bench, scale: dict[str, float]) -> None:
+    with pytest.raises(InputError) as caught:
+        scaled(model_of(bench, "mkz_learned"), scale)
+    assert caught.value.code == "bad_scale" and caught.value.key == next(iter(scale))

@@ -24,7 +24,7 @@ from tunefree_hil.config.load import (
     load_weights,
 )
 from tunefree_hil.control.parameters import NAMES
-from tunefree_hil.grade.metrics import METRICS
+from tunefree_hil.grade.score import SCORE_METRICS
 from tunefree_hil.tune.space import resolve_space
 
 LOADERS: dict[str, Callable[..., Any]] = {
@@ -164,6 +164,7 @@ MISTAKES = [
         "long at most",
     ),
     ("weights", "3.0", "-0.3", "metrics.lateral_err_std", "below 0", "weights"),
+    ("weights", "[metrics]", "largest_value = -1.0\n[metrics]", "largest_value", "below 0", "or 0"),
     ("weights", "3.0", "inf", "metrics.lateral_err_std", "finite", ""),
     ("weights", "= 3.0\nspeed_err_std = 1.0", "= 0.0", "metrics", "add up to 0", "a weight"),
     ("weights", "lateral_err_std", "lateral_er_std", "metrics.lateral_er_std", "no such metric", "lateral_err_std"),
@@ -290,4 +291,4 @@ def test_the_names_of_parameters_are_those_of_the_controller() -> None:
 
 
 def test_the_metrics_that_weights_may_name_are_those_that_are_computed() -> None:
-    assert tuple(METRICS) == check.METRICS
+    assert SCORE_METRICS == check.METRICS

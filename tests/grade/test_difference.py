@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from tunefree_hil.config.schema import WeightsSpec
 from tunefree_hil.grade.difference import FAILURE, REPLANS, score_difference, score_terms
@@ -78,3 +79,12 @@ def test_what_a_term_is() -> None:
     assert row == {"lateral_err_peak": 0.0, "speed_err_peak": 0.0, REPLANS: 0.0, FAILURE: 10.0}
     (row,) = score_terms({"a": {**drive, "replans": 12, "score": 10.0, "planned_samples": 10}}, weights).values()
     assert row[REPLANS] == 12.0 and row[FAILURE] == pytest.approx(-2.4), "the cap"
+
+
+def test_terms_count_a_metric_up_to_its_largest_value() -> None:
+    """What is beyond it is in no term, nor in the one of failures."""
+    capped = replace(WEIGHTS, largest_value=2.0)
+    metrics: dict[str, float | None] = {**dict.fromkeys(NAMES, 0.0), NAMES[1]: 50.0}
+    grade = ScenarioGrade("s", weighted_mean(metrics, capped), metrics, 0, FINISHED, 1000)
+    terms = score_terms(plain([grade]), capped)["s"]
+    assert terms[NAMES[1]] == pytest.approx(grade.score) and terms[FAILURE] == 0.0

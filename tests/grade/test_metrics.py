@@ -13,14 +13,18 @@ from hypothesis import strategies as st
 from tunefree_hil.episode.recording import make_recording
 from tunefree_hil.grade.metrics import (
     METRICS,
+    LaterRmsMetric,
     MetricSamples,
     MetricScales,
     PeakMetric,
     RmsMetric,
+    SeriesMetric,
+    StartMetric,
     compute_metric,
     peak,
     rms,
     samples_from_recording,
+    start_ticks,
 )
 from tunefree_hil.grade.table import SUBSET_COLUMN
 
@@ -105,7 +109,9 @@ def test_by_hand(name: str, columns: dict[str, Any], expected: float | None) -> 
 
 
 def test_every_metric_has_an_example_by_hand() -> None:
-    assert {name for name, _, _ in BY_HAND} | {"lateral_jerk_rms"} == set(METRICS)
+    in_windows = {"lateral_jerk_rms", "longitudinal_jerk_rms", "pedal_rate_rms"}
+    of_the_start = {name for name in METRICS if "start" in name}  # test_start.py
+    assert {name for name, _, _ in BY_HAND} | in_windows | of_the_start == set(METRICS)
 
 
 def test_the_slip_of_the_source() -> None:
@@ -138,6 +144,17 @@ def test_lateral_jerk_of_a_ramp_and_of_noise() -> None:
     assert compute_metric("lateral_jerk_rms", noise, MKZ) == pytest.approx(0.0, abs=1e-12)
 
 
+def test_longitudinal_jerk_and_pedal_rate_of_ramps() -> None:
+    """Acceleration rising at 2 m/s3 scores 1, and so does throttle or brake at 0.5 duty/s, whatever they rest at."""
+    time = np.arange(400) * 0.01
+    nothing = MetricSamples._make([None] * len(MetricSamples._fields))
+    one = math.sqrt(39 / 38)
+    assert compute_metric("longitudinal_jerk_rms", nothing._replace(accel_mps2=-2.0 * time), MKZ) == pytest.approx(one)
+    for throttle, brake in ((0.15 + 0.5 * time, 0.15 + 0.0 * time), (0.15 + 0.0 * time, 0.15 + 0.5 * time)):
+        pedals = nothing._replace(cmd_throttle_frac=throttle, cmd_brake_frac=brake)
+        assert compute_metric("pedal_rate_rms", pedals, MKZ) == pytest.approx(one)
+
+
 def test_fewer_than_five_samples_say_nothing() -> None:
     assert rms(np.ones(4)) is None
     assert peak(np.ones(4), 1.0) is None
@@ -155,13 +172,18 @@ def test_samples_not_known_yet_do_not_count() -> None:
 
 @pytest.mark.parametrize("name", METRICS)
 def test_a_missing_column_gives_none_never_0(name: str) -> None:
-    full = samples(ref_speed_mps=5.0, ref_accel_mps2=1.0, ref_curvature_1pm=0.1)._replace(
-        cmd_steer_rad=np.zeros(30), speed_mps=np.zeros(80), yaw_rate_radps=np.zeros(80)
-    )
-    assert compute_metric(name, full, MKZ) == 0.0
+    ticks = start_ticks(MKZ.dt_s) + 80
+    still = {field: np.zeros(ticks) for field in MetricSamples._fields}
+    moving = {"ref_speed_mps": 5.0, "ref_accel_mps2": 1.0, "ref_curvature_1pm": 0.1}
+    full = MetricSamples(**still | {field: np.full(ticks, value) for field, value in moving.items()})
     row = METRICS[name]
-    needed = {"cmd_steer_rad"} if "steer" in name else {"speed_mps", "yaw_rate_radps"}
-    if isinstance(row, PeakMetric):
+    if isinstance(row, StartMetric):
+        full = full._replace(lateral_error_m=0.2 * (np.arange(ticks) == 0))
+    assert compute_metric(name, full, MKZ) == pytest.approx(0.0, abs=0.04)
+    needed = {"lateral_error_m"}
+    if isinstance(row, SeriesMetric):
+        needed = set(row.needs)
+    elif isinstance(row, (PeakMetric, LaterRmsMetric)):
         needed = {row.error}
     elif isinstance(row, RmsMetric):
         where = SUBSET_COLUMN

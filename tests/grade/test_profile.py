@@ -14,7 +14,7 @@ from tunefree_hil.base.course import Course
 from tunefree_hil.config.schema import ProfileSpec, ScenarioSpec, WeightsSpec
 from tunefree_hil.episode.recording import COLUMNS, Recording, make_recording
 from tunefree_hil.episode.scenario import build_course
-from tunefree_hil.grade.metrics import METRICS, MetricScales
+from tunefree_hil.grade.metrics import MetricScales
 from tunefree_hil.grade.oscillation.report import METRIC_SIGNALS
 from tunefree_hil.grade.profile import (
     NO_SWING,
@@ -26,7 +26,7 @@ from tunefree_hil.grade.profile import (
     profile_drive,
     summarise_series,
 )
-from tunefree_hil.grade.score import GradeVehicle, grade_drive
+from tunefree_hil.grade.score import SCORE_METRICS, GradeVehicle, grade_drive
 from tunefree_hil.grade.signals import FormulaContext
 from tunefree_hil.grade.table import ASPECTS, HIGHLIGHTED, PUBLISHED, TABLE, Aggregation, MetricRow, names_by_aspect
 
@@ -37,7 +37,8 @@ HOWS: tuple[Aggregation, ...] = ("std", "peak", "share", "mean")
 OVER_ROWS = {"jerk_bad_sensation", "lateral_jerk_bad_sensation", "heading_acc_bad_sensation",
              "heading_jerk_bad_sensation", "pose_heading_offset_std", "pose_heading_offset_peak", "lateral_jerk_rms",
              "steer_rate_rms", "ending_station_err", "ending_lateral_err", "ending_heading_err",
-             *METRIC_SIGNALS}  # fmt: skip
+             "longitudinal_jerk_rms", "pedal_rate_rms", *METRIC_SIGNALS,
+             *(name for name in TABLE if "start" in name)}  # fmt: skip
 
 
 def course(duration_s: float = 4.0, stop: bool = False) -> Course:
@@ -80,7 +81,7 @@ def test_the_source_has_42() -> None:
     counts = {aspect: sum(name in PUBLISHED for name in names) for aspect, names in names_by_aspect().items()}
     assert tuple(counts) == ASPECTS
     assert list(counts.values()) == [18, 5, 6, 6, 2, 3, 2]
-    assert set(METRICS) <= set(TABLE) and set(HIGHLIGHTED) <= set(PUBLISHED)
+    assert set(SCORE_METRICS) <= set(TABLE) and set(HIGHLIGHTED) <= set(PUBLISHED)
 
 
 def rms(value: float, n: int) -> float:
@@ -191,7 +192,7 @@ def test_what_is_weighed_is_what_the_score_weighs() -> None:
         )  # fmt: skip
         graded = grade_drive(one, plan, weights, CAR)
         found = values(one, plan, against=against, as_published=published)
-        assert {name: found[name].value for name in METRICS} == graded.metrics
+        assert {name: found[name].value for name in SCORE_METRICS} == graded.metrics
 
 
 @pytest.mark.parametrize("name", [name for name in TABLE if name not in METRIC_SIGNALS])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from tests.house import ROOT
 from tunefree_hil.base.course import Course
@@ -17,8 +18,8 @@ from tunefree_hil.config.load import load_weights
 from tunefree_hil.config.schema import LimitsSpec, NominalSpec, ProfileSpec, ScenarioSpec, VehicleSpec, WeightsSpec
 from tunefree_hil.episode.recording import Recording, make_recording
 from tunefree_hil.episode.scenario import build_course
-from tunefree_hil.grade.metrics import METRICS
 from tunefree_hil.grade.score import (
+    SCORE_METRICS,
     GradeVehicle,
     ScenarioGrade,
     combine_scores,
@@ -26,6 +27,7 @@ from tunefree_hil.grade.score import (
     grade_vehicle_from_spec,
     weighted_mean,
 )
+from tunefree_hil.grade.table import COMFORT, EFFORT, PERFORMANCE, SAFETY, TABLE
 
 MKZ = GradeVehicle(2.8448, 1.4224, 8.20305, 8.55211)
 DT_S = 0.01
@@ -93,7 +95,7 @@ def test_inner_sum_by_hand() -> None:
     assert found.score == pytest.approx(0.34)
     assert found.outcome == "finished"
     assert found.planned_samples == 200
-    assert set(found.metrics) == set(METRICS)
+    assert set(found.metrics) == set(SCORE_METRICS)
 
 
 def test_a_metric_that_could_not_be_had_is_dropped_and_the_rest_renormalised() -> None:
@@ -209,7 +211,7 @@ def test_failing_earlier_never_scores_better(lateral_m: float, one: int, other: 
 def test_the_score_rises_with_each_metric(name: str, one: float, other: float) -> None:
     spec = weights(**PUBLISHED)
     low, high = sorted((one, other))
-    base: dict[str, float | None] = dict.fromkeys(METRICS, 0.4)
+    base: dict[str, float | None] = dict.fromkeys(SCORE_METRICS, 0.4)
     assert weighted_mean({**base, name: low}, spec) <= weighted_mean({**base, name: high}, spec) + 1e-12
 
 
@@ -233,15 +235,37 @@ def test_paper_weights_are_the_published_ones() -> None:
     assert (paper.replan_penalty, paper.failure_score) == (1.0, 10.0)
 
 
-def test_default_weights_add_little_and_forgive_nothing() -> None:
+def test_default_weights_forgive_nothing_and_count_all_four_aspects() -> None:
     default = load_weights(ROOT / "bench_configs" / "weights" / "default.toml")
-    extra = {name: weight for name, weight in default.metrics.items() if name not in PUBLISHED}
-    assert {name: default.metrics[name] for name in PUBLISHED} == PUBLISHED
-    assert set(extra) == {"steer_rate_rms", "lateral_jerk_rms", "steering_control_usage"}
-    assert 0.0 < sum(extra.values()) < 0.1 * 25.0
-    assert (default.against, default.as_published) == ("original", False)
+    assert {TABLE[name].aspect for name in default.metrics} == {PERFORMANCE, SAFETY, COMFORT, EFFORT}
+    assert {name for name in default.metrics if name.startswith(("lateral", "station", "speed"))} == {
+        "lateral_jerk_rms",
+        *(f"{error}_{kind}_after_start" for error in ("lateral", "station", "speed") for kind in ("rms", "peak")),
+    }
+    assert (default.against, default.as_published, default.largest_value) == ("original", False, 3.0)
     assert (default.replan_penalty, default.failure_score, default.lane_half_width_m) == (1.0, 10.0, 2.0)
     assert default.divergence_heading_rad == pytest.approx(math.pi / 2)
+
+
+def test_a_metric_counts_up_to_its_largest_value() -> None:
+    """Peaks 5 m / 0.5 m = 10, cut to 3, and 0.1 m / 1 m with weights 4 and 1: (4 x 3 + 1 x 0.1) / 5 = 2.42."""
+    spec = weights(lateral_err_peak=4.0, station_err_peak=1.0)
+    values: dict[str, float | None] = {"lateral_err_peak": 10.0, "station_err_peak": 0.1}
+    assert weighted_mean(values, spec) == pytest.approx(8.02)
+    assert weighted_mean(values, replace(spec, largest_value=3.0)) == pytest.approx(2.42)
+
+
+def test_pedals_in_turn_are_a_metric_that_weights_may_name() -> None:
+    """A change of pedals every 0.25 s is 4 a second, at a limit of 0.5."""
+    throttle_on = np.floor(np.arange(1000) * DT_S / 0.25) % 2.0 == 0.0
+    pedals = {
+        "cmd_throttle_frac": np.where(throttle_on, 0.3, 0.0),
+        "cmd_brake_frac": np.where(throttle_on, 0.0, 0.3),
+    }
+    found = grade_drive(recording(1000, **pedals), course(10.0), weights(pedal_alternation=1.0), MKZ)
+    assert found.metrics["pedal_alternation"] == pytest.approx(8.0, rel=0.05)
+    assert found.score == pytest.approx(8.0, rel=0.05)
+    assert score(weights(), cmd_throttle_frac=0.3).metrics["pedal_alternation"] is None, "no brake"
 
 
 def test_numbers_of_the_vehicle() -> None:

@@ -124,3 +124,41 @@ def test_the_copy_is_a_study_that_grows(whole: Journal, tmp_path: Path) -> None:
         assert study.baselines() == whole.baselines()
         assert study.settings == ASKED
     assert json.loads(whole.path.read_text().splitlines()[0])["schema"] == "tunefree.trials/1"
+
+
+def required(points: Points) -> list[Evaluation]:
+    """The bowl, with a requirement that only half of the box meets."""
+    outcome = {"outcome": "finished"}
+    return [
+        bowl(values)._replace(scenarios={"bowl": {**outcome, "requirements": {"replans": 10.0 * values["lqr.q1"]}}})
+        for values in points.values()
+    ]
+
+
+def test_requirements_are_judged_again_when_the_list_is_read(tmp_path: Path) -> None:
+    asked = ASKED._replace(requirements={"replans": 1.0})
+    journal = open_journal(tmp_path / "a.jsonl", asked)
+    list(run_generations(journal, 24, required))
+    trials = journal.trials()
+    assert [trial.violation for trial in trials] == [
+        max(0.0, 10.0 * trial.parameters["lqr.q1"] - 1.0) for trial in trials
+    ]
+    assert open_journal(journal.path, asked).trials() == trials
+    best = journal.best()
+    assert best is not None and best.violation == 0.0
+    journal.copy_to(tmp_path / "study.db")
+    with read_study(tmp_path / "study.db") as study:
+        assert study.settings.requirements == {"replans": 1.0}
+        assert [trial.violation for trial in study.trials()] == [trial.violation for trial in trials]
+    cut = tmp_path / "cut.jsonl"
+    cut.write_bytes(b"".join(journal.path.read_bytes().splitlines(keepends=True)[:3]))
+    resumed = open_journal(cut, asked)
+    list(run_generations(resumed, 24, required))
+    assert resumed.trials() == trials
+
+
+def test_a_study_by_score_alone_is_not_continued_under_requirements(whole: Journal) -> None:
+    with pytest.raises(InputError, match=r"require\.replans was none, now 1"):
+        open_journal(whole.path, ASKED._replace(requirements={"replans": 1.0}))
+    assert "requirements" not in json.loads(whole.path.read_text().splitlines()[0])["settings"]
+    assert {trial.violation for trial in whole.trials()} == {0.0}

@@ -19,7 +19,7 @@ from tunefree_hil.tune.robust_winner import (
     mean_score,
     rank_trials,
 )
-from tunefree_hil.tune.trial import Trial
+from tunefree_hil.tune.trial import Trial, find_best_trial
 
 
 def trial(slot: int, score: float, replans: int = 0, outcome: str = "finished") -> Trial:
@@ -96,3 +96,15 @@ def test_whoever_is_not_driven_would_not_have_won(sets: list[tuple[float, float,
     else:
         assert all(slot_key(one.slot) in known for one in trials if drive_totals(one.score, one.scenarios).is_clean)
     assert sorted(one.slot for one in rank_trials(trials, known)) == list(range(len(sets)))
+
+
+def test_requirements_come_before_robustness_and_score() -> None:
+    """Whoever meets them is first, then the least violation; the slower car is driven for those that may win."""
+    met, better, worst = trial(0, 0.3), trial(1, 0.1)._replace(violation=0.2), trial(2, 0.05)._replace(violation=3.0)
+    trials = [worst, better, met]
+    calm = DriveTotals(0.1, 0, 0)
+    assert [one.slot for one in find_open_trials(trials, {})] == [0]
+    assert [one.slot for one in find_open_trials([worst, better], {})] == [1], "the least violation may still win"
+    assert rank_trials(trials, {slot_key(1): calm, slot_key(2): calm}) == [met, better, worst]
+    assert find_rejected_trials(trials, {}) == [], "a better score that violates a requirement was not passed over"
+    assert find_best_trial(trials) == met and find_best_trial([worst, better]) == better

@@ -102,3 +102,35 @@ def test_tpe_beats_random_search(sampler: str) -> None:
     by_tpe = statistics.median(lowest_found(sampler, seed, trials) for seed in seeds)
     by_chance = statistics.median(lowest_found("random", seed, trials) for seed in seeds)
     assert by_tpe < by_chance
+
+
+def constrained(values: dict[str, float]) -> ScoredPoint:
+    """The score falls where the requirement is violated: a value up to 0.3 is allowed, the score is 1 - it."""
+    gain = values["look_ahead_m"]
+    return ScoredPoint(values, 1.0 - gain, max(0.0, gain / 0.3 - 1.0))
+
+
+@pytest.mark.parametrize("sampler", ["tpe_independent", "tpe_relative"])
+def test_a_search_under_a_requirement_stays_where_it_is_met(sampler: str) -> None:
+    """Without the constraint the same history leads beyond it, as the score is better there."""
+    space = make_space([Parameter("look_ahead_m", 0.0, 1.0, "linear")])
+    runs: dict[bool, list[ScoredPoint]] = {True: [], False: []}
+    for is_constrained, told in runs.items():
+        for slot in range(60):
+            asked = suggest_point(space, told, sampler=sampler, seed=3, slot=slot)
+            point = constrained(asked)
+            told.append(point if is_constrained else point._replace(violation=None))
+    late = {key: [point.parameters["look_ahead_m"] for point in told[30:]] for key, told in runs.items()}
+    assert statistics.median(late[False]) > 0.9
+    assert 0.2 < statistics.median(late[True]) < 0.35
+    assert min((point for point in runs[True] if not point.violation), key=lambda point: point.score).score < 0.72
+
+
+@pytest.mark.parametrize("sampler", ["tpe_independent", "tpe_relative"])
+def test_requirements_that_all_trials_meet_change_no_suggestion(sampler: str) -> None:
+    told = history(SPACE, 20)
+    met = [point._replace(violation=0.0) for point in told]
+    asked = [suggest_point(SPACE, points, sampler=sampler, seed=1, slot=20) for points in (told, met)]
+    assert asked[0] == asked[1]
+    violated = [point._replace(violation=point.score) for point in told[:10]] + met[10:]
+    assert suggest_point(SPACE, violated, sampler=sampler, seed=1, slot=20) != asked[0]

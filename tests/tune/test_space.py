@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tunefree_hil.base.contracts import Tunable
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.config.schema import ParameterSpec
-from tunefree_hil.control.parameters import BY_NAME, NAMES
+from tunefree_hil.control.parameters import BY_NAME, NAMES, WIDER_BOXES, BoxChoice
 from tunefree_hil.tune.space import make_space, resolve_space, space_from_data
 
 
@@ -149,3 +149,18 @@ def test_fit_takes_each_parameter_on_its_own() -> None:
         space.clip({"mrac.t_ref_s": 0.1})
     with pytest.raises(InputError, match="not a number"):
         space.clip({"mrac.t_ref_s": float("nan"), "mrac.p": 0.05})
+
+
+def test_the_wider_box_holds_the_published_one() -> None:
+    paper, wider = resolve_space("complete", []), resolve_space("complete", [], box=BoxChoice.DEFAULT)
+    assert resolve_space("complete", [], box=BoxChoice.PAPER) == paper
+    pairs = list(zip(paper.axes, wider.axes, strict=True))
+    assert all(wide.low <= narrow.low < narrow.high <= wide.high for narrow, wide in pairs)
+    assert {narrow.name for narrow, wide in pairs if wide != narrow} == set(WIDER_BOXES)
+
+
+def test_a_range_of_the_bench_file_is_that_range_in_either_box() -> None:
+    given = ParameterSpec(name="lqr.q1", low=0.2, high=0.3)
+    assert resolve_space("", [given], box=BoxChoice.DEFAULT) == resolve_space("", [given])
+    without = ParameterSpec(name="lqr.q1")
+    assert resolve_space("", [without], box=BoxChoice.DEFAULT).axes[0].low < resolve_space("", [without]).axes[0].low

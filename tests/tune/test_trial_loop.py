@@ -75,3 +75,14 @@ def test_the_earliest_of_equals_is_the_best() -> None:
     trials = [Trial(2, 0, {}, 0.5, {}), Trial(1, 1, {}, 0.5, {}), Trial(0, 2, {}, 0.7, {})]
     assert find_best_trial(trials) == trials[1] and find_best_trial([]) is None
     assert isinstance(bowl(FIRST), Evaluation)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 8])
+def test_further_starts_are_the_slots_after_the_first(size: int) -> None:
+    starts = [SPACE.clip({name: factor * value for name, value in FIRST.items()}) for factor in (0.5, 2.0, 0.8)]
+    asked = settings("tpe_independent")._replace(in_flight=size, starts=starts)
+    done: list[Trial] = []
+    while slots := find_next_slots({trial.slot for trial in done}, size, 8):
+        done += filled(suggest_slots(asked, done, slots))
+    assert [trial.parameters for trial in done[:4]] == [FIRST, *starts]
+    assert len({tuple(trial.parameters.values()) for trial in done}) == 8

@@ -25,11 +25,13 @@ from tunefree_hil.control.parameters import (
     BY_NAME,
     LARGEST32,
     RICCATI_CODES,
+    BoxChoice,
     by_index,
     check_complete,
     indices_of,
     round32,
     study_values,
+    tunable_in_box,
 )
 from tunefree_hil.nodes.controller import Assignment
 from tunefree_hil.nodes.measurement_decoder import CHASSIS, INS
@@ -68,7 +70,7 @@ def constants_of(vehicle: VehicleSpec) -> VehicleConstants:
 
 
 def require_in_box(name: str, value: float, *, file: str = "", key: str = "") -> None:
-    """Raise InputError for a user's value outside its published box; the shipped manual values are allowed.
+    """Raise InputError for a user's value outside its widest box; the shipped manual values are allowed.
 
     Compared as binary32, as the controller gets it. Names that are not in docs/reference/controller.md have no box;
     their values must only be sendable.
@@ -84,7 +86,8 @@ def require_in_box(name: str, value: float, *, file: str = "", key: str = "") ->
             key=key,
             hint=f"parameters are binary32: give a number between -{LARGEST32:.2g} and {LARGEST32:.2g}",
         )
-    low, high, choices = row.tunable.low, row.tunable.high, row.tunable.choices
+    widest = tunable_in_box(name, BoxChoice.DEFAULT)
+    low, high, choices = widest.low, widest.high, widest.choices
     if sendable:
         sent = round32(value)
         inside = sent in choices if choices else round32(low) <= sent <= round32(high)

@@ -18,7 +18,7 @@ from tunefree_hil.config.load import load_bench, load_model, load_scenario, load
 from tunefree_hil.config.schema import BenchSpec, ModelSpec, ScenarioSpec, VehicleSpec, WeightsSpec, with_scenarios
 from tunefree_hil.episode.feasible import limits_of, require_feasible
 from tunefree_hil.episode.scenario import build_course
-from tunefree_hil.roads import search_roads, verify_roads
+from tunefree_hil.roads import held_out_roads, search_roads, verify_roads
 from tunefree_hil.roads.drive_ability import DriveAbility, ability_from_map
 
 
@@ -78,6 +78,13 @@ def _drive_of(spec: BenchSpec, vehicle: VehicleSpec) -> DriveAbility | None:
         return None
     refusal = Refusal("no_calibration", "bad_calibration", "learn the map again")
     return ability_from_map(read_triples(path, refusal), vehicle.nominal.rest_pedal_frac)
+
+
+def held_out_roads_of(bench: Bench, text: str) -> list[ScenarioSpec]:
+    """The roads of a set, such as 'families:10', that neither the search nor the verification of a bench drives."""
+    spec = bench.spec
+    seed = spec.seed if spec.roads is None else spec.roads.seed
+    return held_out_roads(bench.vehicle, text, seed, _drive_of(spec, bench.vehicle))
 
 
 def whole_vehicle(name: Path | str, near: Path | str | None = None) -> VehicleSpec:

@@ -21,6 +21,8 @@ from tunefree_hil.config.schema import (
     WeightsSpec,
     value_of,
 )
+from tunefree_hil.config.tuning.ensemble_schema import check_ensemble
+from tunefree_hil.config.tuning.require_schema import check_require
 
 # The names of docs/reference/controller.md; control/parameters.py has their boxes.
 PARAMETERS = (
@@ -30,13 +32,17 @@ PARAMETERS = (
     *("mrac.enable", "riccati", "mrac.clamp_s", "mrac.gamma", "look_ahead_m"),
 )
 CHANNELS = ("throttle", "brake", "steer", "accel", "steer_torque")  # that a model's [actuators] may have
-# Metrics that weights may name; grade/metrics.py computes them.
+# Metrics that weights may name; grade/score.py has them.
 METRICS = (
     *("station_err_std", "station_err_std_harsh", "speed_err_std", "speed_err_std_harsh"),
     *("lateral_err_std", "lateral_err_std_harsh", "heading_err_std", "heading_err_std_harsh"),
     *("heading_err_rate_std", "heading_err_rate_std_harsh"),
     *("station_err_peak", "speed_err_peak", "lateral_err_peak", "heading_err_peak", "heading_err_rate_peak"),
     *("steer_rate_rms", "lateral_jerk_rms", "steering_control_usage"),
+    *("lateral_rms_after_start", "station_rms_after_start", "speed_rms_after_start", "heading_rms_after_start"),
+    *("start_overshoot", "start_settling"),
+    *("lateral_peak_after_start", "station_peak_after_start", "speed_peak_after_start", "heading_peak_after_start"),
+    *("longitudinal_jerk_rms", "pedal_rate_rms", "pedal_alternation"),
 )
 # Far beyond any drive: a larger number is a mistake, and some would overflow where a course is built.
 MOST = {"speed": 1e3, "curvature": 1e3, "grade": 1.5, "friction": 1e3}  # m/s, 1/m, rad, 1
@@ -159,6 +165,8 @@ def check_weights(spec: WeightsSpec) -> Problems:
     for name in ("failure_score", "lane_half_width_m", "divergence_heading_rad"):
         if getattr(spec, name) <= 0.0:
             yield ConfigProblem(name, f"{getattr(spec, name):g} is not above 0", "give a number above 0")
+    if spec.largest_value < 0.0:
+        yield ConfigProblem("largest_value", f"{spec.largest_value:g} is below 0", "give a number above 0, or 0")
     if spec.replan_penalty < 0.0:
         yield ConfigProblem("replan_penalty", f"{spec.replan_penalty:g} is below 0", "give a number from 0 on")
 
@@ -181,21 +189,29 @@ def check_bench(spec: BenchSpec) -> Problems:
             "controller.mrac_dead_zone", f"{spec.controller.mrac_dead_zone:g}", "percent of the limit, 0 to 100"
         )
     yield from _tune(spec, has_own_parts)
+    if spec.require is not None:
+        yield from check_require(spec.require)
+    if spec.ensemble is not None:
+        yield from check_ensemble(spec.ensemble)
+        yield from _road_set("ensemble.select_roads", spec.ensemble.select_roads)
     yield from check_faults(spec.faults)
 
 
 def _roads(roads: RoadsSpec) -> Problems:
     for key in ("search", "verify"):
-        text = getattr(roads, key)
-        try:
-            if text:
-                parse_road_set(text)
-        except InputError as error:
-            yield ConfigProblem(f"roads.{key}", error.message, error.hint)
+        yield from _road_set(f"roads.{key}", getattr(roads, key))
     if not roads.search and not roads.verify:
         yield ConfigProblem("roads", "it names no set", 'give search = "families:20", or leave it out')
     if not 0 <= roads.seed <= MOST_ROAD_SEED:
         yield ConfigProblem("roads.seed", f"{roads.seed} does not fit", f"give 0 to {MOST_ROAD_SEED}")
+
+
+def _road_set(key: str, text: str) -> Problems:
+    try:
+        if text:
+            parse_road_set(text)
+    except InputError as error:
+        yield ConfigProblem(key, error.message, error.hint)
 
 
 def is_foreign(name: str) -> bool:

@@ -18,7 +18,7 @@ from tunefree_hil.config.schema import Spec
 S = TypeVar("S", bound=Spec)
 SET_BY_LOADER = ("folder", "path", "hash")
 # Limits may be infinite: it means that there is none (docs/reference/effects.md). Nothing else may.
-MAY_BE_INFINITE = ("rate_limit", "effects", "params")
+MAY_BE_INFINITE = ("rate_limit", "effects", "params", "require")
 
 
 def read_toml(path: Path) -> dict[str, Any]:

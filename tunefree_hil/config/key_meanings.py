@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tunefree_hil.config.import_schema import ClockSpec, ColumnSpec, EnabledSpec, ImportSpec
+from tunefree_hil.config.learned.steering_map_schema import STEERING_MAP_WORDS
 from tunefree_hil.config.schema import (
     ActuatorSpec,
     BenchSpec,
@@ -23,6 +24,8 @@ from tunefree_hil.config.schema import (
     ValidSpec,
     WeightsSpec,
 )
+from tunefree_hil.config.tuning.ensemble_schema import ENSEMBLE_WORDS, EnsembleSpec
+from tunefree_hil.config.tuning.require_schema import REQUIRE_WORDS, RequireSpec
 from tunefree_hil.config.vehicle_key_meanings import ASSUMED, VEHICLE_WORDS
 
 SCHEMA = "kind and version of this file"
@@ -112,6 +115,7 @@ _ROADS: dict[type[Spec], dict[str, str]] = {
         "against": "trajectory that errors count against: current (a re-plan forgives) or original",
         "as_published": "true keeps the source's slip in heading_err_rate_std_harsh",
         "metrics": "metric of docs/reference/grading.md -> weight from 0 on",
+        "largest_value": "a metric counts up to this value, so that none drowns the rest; 0: whatever it is",
         "replan_penalty": "what a re-plan adds to a score",
         "failure_score": "score of a drive that fails, and the highest there is",
         "lane_half_width_m": "sideways error at which the lane is left, m",
@@ -132,9 +136,13 @@ _BENCH: dict[type[Spec], dict[str, str]] = {
         "seed": "of the search",
         "controller": "which controller, and its fixed values",
         "tune": "what is searched and how",
+        "ensemble": "the cars that every candidate drives; left out: the model alone",
+        "require": "limits that gains must keep on every road; left out: the vehicle's defaults",
         "effects": "tables [[effects]]: what the model is made worse by",
         "faults": "tables [[faults]]: what goes wrong on the bus, and when",
     },
+    RequireSpec: REQUIRE_WORDS,
+    EnsembleSpec: ENSEMBLE_WORDS,
     RoadsSpec: {
         "search": "set driven beside `scenarios`: families:N, robust:N or public229; '' for none",
         "verify": "set driven beside `verify_scenarios`, with other chance; '' for none",
@@ -148,6 +156,7 @@ _BENCH: dict[type[Spec], dict[str, str]] = {
         "look_ahead_m": "m ahead of the vehicle at which the path is looked at",
         "mrac_dead_zone": "percent of the steering limit within which MRAC does not adapt",
         "calibration": "another calibration.npz than the model's; '' for the model's",
+        "steering_map": "path of a steering_map.toml, or 'data_sheet'; '' for that of the model, else its axles",
         "parameters": "parameter -> value, of those that are not searched",
         "command": "program and arguments of a controller of your own, instead of ours",
     },
@@ -157,6 +166,8 @@ _BENCH: dict[type[Spec], dict[str, str]] = {
         "trials": "number of parameter sets to try",
         "sampler": "how the next set is drawn: TPE each by itself, TPE together, or at random",
         "in_flight": "trials that are asked for together; 0: as suits bench and machine",
+        "box": "paper: the published ranges; default: the wider ones; '': default where there is a table [require]",
+        "starts": "first: the search begins with one manual set; manual: with all of them, clipped",
         "slower": "the winner also drives calmly with actuators so many times slower, 1 to 10; 1: best grade alone",
     },
     ParameterSpec: {
@@ -215,5 +226,12 @@ _IMPORT: dict[type[Spec], dict[str, str]] = {
 
 WORDS: dict[str, dict[str, str]] = {
     kind.__name__: words
-    for kind, words in (*VEHICLE_WORDS.items(), *_MODEL.items(), *_ROADS.items(), *_BENCH.items(), *_IMPORT.items())
+    for kind, words in (
+        *VEHICLE_WORDS.items(),
+        *_MODEL.items(),
+        *_ROADS.items(),
+        *_BENCH.items(),
+        *_IMPORT.items(),
+        *STEERING_MAP_WORDS.items(),
+    )
 }

@@ -18,6 +18,7 @@ from tunefree_hil.config.convert import SET_BY_LOADER, convert, read_toml
 from tunefree_hil.config.find import find, nearest
 from tunefree_hil.config.import_schema import ImportSpec, check_import
 from tunefree_hil.config.key_meanings import WORDS
+from tunefree_hil.config.learned.steering_map_schema import SteeringMapSpec
 from tunefree_hil.config.problem import Problems
 from tunefree_hil.config.schema import BenchSpec, ModelSpec, ScenarioSpec, Spec, VehicleSpec, WeightsSpec
 
@@ -28,6 +29,7 @@ SPECS: dict[str, type[Spec]] = {
     "weights": WeightsSpec,
     "bench": BenchSpec,
     "import": ImportSpec,
+    "steering_map": SteeringMapSpec,
 }
 Name = str | Path
 
@@ -88,7 +90,7 @@ def load_import(name: Name) -> ImportSpec:
 
 
 def json_schema(name: str) -> dict[str, Any]:
-    """The JSON Schema of a kind of file: vehicle, model, scenario, weights, bench or import. Every key is described."""
+    """The JSON Schema of a kind of file, one of SPECS. Every key is described."""
     if name not in SPECS:
         raise InputError(f"no schema {name!r}", code="unknown_schema", key="schema", hint=nearest(name, SPECS))
     schema = msgspec.json.schema(SPECS[name])

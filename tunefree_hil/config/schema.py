@@ -10,6 +10,8 @@ from typing import Any, Literal
 from msgspec import field
 from msgspec.structs import asdict, replace
 
+from tunefree_hil.config.tuning.ensemble_schema import EnsembleSpec
+from tunefree_hil.config.tuning.require_schema import RequireSpec
 from tunefree_hil.config.vehicle_schema import (
     E2eSpec,
     ExtraSpec,
@@ -76,6 +78,7 @@ class Interval(Spec, frozen=True, kw_only=True):
 
 
 Number = float | Interval
+DATA_SHEET_STEERING = "data_sheet"  # [controller] steering_map: the constants of eq. 3
 
 
 class ActuatorSpec(Spec, frozen=True, kw_only=True):
@@ -187,6 +190,7 @@ class WeightsSpec(Spec, frozen=True, kw_only=True):
     against: Literal["current", "original"]  # which trajectory the errors are taken against
     as_published: bool = False  # True keeps the source's slip in heading_err_rate_std_harsh
     metrics: dict[str, float]
+    largest_value: float = 0.0  # a metric counts up to this value; 0: whatever it is
     replan_penalty: float = 1.0
     failure_score: float = 10.0
     lane_half_width_m: float = 2.0
@@ -202,6 +206,7 @@ class ControllerSpec(Spec, frozen=True, kw_only=True):
     look_ahead_m: float = 0.0
     mrac_dead_zone: float = 0.5  # percent of the steering limit within which MRAC does not adapt; 0: as published
     calibration: str = ""  # another calibration.npz than the model's
+    steering_map: str | None = None  # a steering_map.toml, or DATA_SHEET_STEERING; None or '': the model's
     parameters: dict[str, float] = field(default_factory=dict)  # names: docs/reference/controller.md, or its own
     command: list[str] = field(default_factory=list)  # starts a controller of the user's own instead of ours
 
@@ -221,6 +226,8 @@ class TuneSpec(Spec, frozen=True, kw_only=True):
     trials: int = 40
     sampler: Literal["tpe_independent", "tpe_relative", "random"] = "tpe_independent"
     in_flight: int = 0  # trials asked together; 0: 8 in a batch, 1 over the bus
+    box: Literal["", "default", "paper"] = ""  # '': default in a bench file with [require], else paper
+    starts: Literal["first", "manual"] = "first"  # the first trials: one manual set, or all
     slower: float = 1.5  # the winner drives calmly with actuators so many times slower too; 1: by grade alone
 
 
@@ -262,6 +269,8 @@ class BenchSpec(Spec, frozen=True, kw_only=True):
     seed: int = 1
     controller: ControllerSpec = ControllerSpec()
     tune: TuneSpec = TuneSpec()
+    require: RequireSpec | None = None
+    ensemble: EnsembleSpec | None = None
     effects: list[EffectSpec] = field(default_factory=list)
     faults: list[FaultSpec] = field(default_factory=list)
     path: str = ""

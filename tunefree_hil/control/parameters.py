@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from typing import NamedTuple, Protocol
 
 from tunefree_hil.base.contracts import Tunable
@@ -28,8 +29,18 @@ class Box(Protocol):
     def choices(self) -> Sequence[float] | None: ...
 
 
+class BoxChoice(StrEnum):
+    """Which box a parameter is searched in; the value stands in a bench file."""
+
+    PAPER = "paper"  # as published
+    DEFAULT = "default"  # the wider one of WIDER_BOXES, which needs requirements that hold it in check
+
+
 class Parameter(NamedTuple):
-    """One row. `manual`: Apollo's MKZ value; `fixed`: its value in a study that does not tune it (None: manual)."""
+    """One row; the box of its tunable is the published one.
+
+    manual: Apollo's MKZ value. fixed: The value in a study that does not tune it; None: manual.
+    """
 
     index: int
     tunable: Tunable
@@ -61,6 +72,22 @@ BY_NAME: dict[str, Parameter] = {row.tunable.name: row for row in PARAMETERS}
 NAMES: tuple[str, ...] = tuple(BY_NAME)
 SETS: dict[str, tuple[str, ...]] = {"mrac": NAMES[0:2], "lateral": NAMES[0:6], "complete": NAMES[0:11]}
 
+# Wider than the published box: (low, high). An edge without a reason here is the published one. Where a low edge is
+# below it, the published one is too high for a vehicle with long dead times: see `rule_based` (tune/baselines.py).
+WIDER_BOXES: dict[str, tuple[float, float]] = {
+    "mrac.t_ref_s": (0.01, 0.5),  # a steering three times as slow as the van's, the slowest here
+    "mrac.p": (1e-6, 0.1),  # at 1e-6 nothing adapts within a drive: practically off
+    # Low: the loop keeps a phase margin of 45 degrees at 30 m/s with 0.3 s of dead time and lag, as the van's.
+    # High: K1 is about sqrt(Q1): an error of 0.5 m takes the front wheels to the stop of a passenger car, 0.5 rad.
+    "lqr.q1": (1e-4, 1.0),
+    "lqr.q2": (1e-6, 0.1),  # K2 is at most sqrt(Q2): 0.001 rad per m/s, less than backlash
+    "lqr.q3": (1e-4, 4.0),  # low as Q1; high: 15 degrees of heading error take the front wheels to the stop
+    "lqr.q4": (1e-6, 0.1),  # as Q2
+    "station.kp": (0.01, 1.5),  # SIMC with a delay of 0.1 s, the shortest of a drive: 1 / (6.5 * 0.1)
+    "speed.ki_low": (1e-3, 5.0),  # low: no integral within a drive; high: SIMC with a delay of 0.11 s
+    "speed.ki_high": (1e-3, 5.0),
+}
+
 HALF_WHEELBASE_M = 1.4224  # look-ahead as shipped (docs/reference/apollo.md)
 RICCATI_CODES = {"converged": 0.0, "apollo150": 1.0}
 
@@ -78,6 +105,15 @@ def study_values() -> dict[str, float]:
     """A complete vector to start a study's trial from: manual gains, MRAC on, gamma 1, clamp 0.01 s
     (docs/reference/controller.md)."""
     return {row.tunable.name: row.manual if row.fixed is None else row.fixed for row in PARAMETERS}
+
+
+def tunable_in_box(name: str, box: BoxChoice) -> Tunable:
+    """The tunable of a parameter of the table, with the chosen box."""
+    tunable = BY_NAME[name].tunable
+    if box is BoxChoice.PAPER or name not in WIDER_BOXES:
+        return tunable
+    low, high = WIDER_BOXES[name]
+    return tunable._replace(low=low, high=high)
 
 
 def tunables_of(prefix: str) -> tuple[Tunable, ...]:

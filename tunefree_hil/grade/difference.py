@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from tunefree_hil.config.schema import WeightsSpec
-from tunefree_hil.grade.score import FINISHED
+from tunefree_hil.grade.score import FINISHED, counted_value
 
 REPLANS, FAILURE = "re-plans", "failure or cap"
 
@@ -42,7 +42,8 @@ def _scenario_terms(drive: Mapping[str, Any], weights: WeightsSpec, share: float
     terms = dict.fromkeys([*names, REPLANS, FAILURE], 0.0)
     score = float(drive["score"])
     if drive["outcome"] == FINISHED:
-        known = {name: float(drive["metrics"][name]) for name in names if drive["metrics"].get(name) is not None}
+        values = {name: drive["metrics"].get(name) for name in names}
+        known = {name: counted_value(float(value), weights) for name, value in values.items() if value is not None}
         total = math.fsum(weights.metrics[name] for name in known)
         terms |= {name: share * weights.metrics[name] / total * value for name, value in known.items()}
         terms[REPLANS] = share * weights.replan_penalty * int(drive["replans"])

@@ -1,6 +1,7 @@
-"""The metrics that a score may weigh: the 15 of Apollo's control profiling (the paper's Table II) and three more.
+"""The metrics that a score may weigh: the 15 of Apollo's control profiling (the paper's Table II) and fifteen more.
 
-All 42 metrics of Apollo are in table.py; they are computed for a profile only. Notation (docs/reference/grading.md):
+All 42 metrics of Apollo are in table.py; they are computed for a profile only. Ten of this project separate the start
+of a drive, which begins beside its road, from the rest (`DriveStartCriteria`). Notation (docs/reference/grading.md):
 e the error, V = max(|v_ref|, 1.0 m/s), C = max(|kappa_ref|, 0.02852 1/m), L the wheelbase, T = N_f dt = 1 s,
 RMS = sqrt(sum s^2 / (N - 1)). Every metric is dimensionless, 0 is perfect, and it is None (never 0) where a column is
 missing or fewer than 5 samples count. Two deliberate differences: the harsh heading rate uses the rate (AS_PUBLISHED
@@ -32,8 +33,22 @@ HORIZON_S = 1.0  # N_f dt
 MIN_SAMPLES = 5
 
 # constants of this project
-LATERAL_JERK_MPS3 = 2.0  # Apollo's threshold of a bad sensation
-JERK_WINDOW_S = 0.1  # averaging time of v * yaw rate; without it the jerk would be the noise of the yaw-rate sensor
+JERK_MPS3 = 2.0  # Apollo's threshold of a bad sensation
+PEDAL_RATE_PER_S = (
+    0.5  # duty/s; RMS of the pedals' rate in a poor but drivable set on the van (docs/results/score_shares.md)
+)
+JERK_WINDOW_S = 0.1  # averaging time before a derivative; without it the jerk would be the noise of the sensor
+
+
+class DriveStartCriteria(NamedTuple):
+    """The start of a drive, in which the vehicle comes from beside its road; lengths are lateral error."""
+
+    duration_s: float = 3.0  # s; issue 44 counts errors after the first 3 s
+    min_offset_m: float = 0.1  # m; a smaller first error is no offset: noise of the position reaches 0.03 m
+    settled_m: float = 0.05  # m; band of a settled start: the error of straight driving with noise stays below 0.035 m
+
+
+START = DriveStartCriteria()
 
 
 class MetricSamples(NamedTuple):
@@ -51,6 +66,9 @@ class MetricSamples(NamedTuple):
     cmd_steer_rad: Array | None
     speed_mps: Array | None
     yaw_rate_radps: Array | None
+    accel_mps2: Array | None
+    cmd_throttle_frac: Array | None
+    cmd_brake_frac: Array | None
 
 
 class MetricScales(NamedTuple):
@@ -84,10 +102,24 @@ class RmsMetric(NamedTuple):
 
 
 class PeakMetric(NamedTuple):
-    """max |error| / threshold over all samples."""
+    """max |error| / threshold over all samples, or over those after the start."""
 
     error: str
     threshold: float
+    after_start: bool = False
+
+
+class LaterRmsMetric(NamedTuple):
+    """RMS of error / scale over the samples after the start."""
+
+    error: str
+    scale: float
+
+
+class StartMetric(NamedTuple):
+    """A number of the lateral error during the start, shape (n_ticks,), given dt_s."""
+
+    value: Callable[[Array, float], float]
 
 
 class SeriesMetric(NamedTuple):
@@ -116,9 +148,43 @@ def lateral_jerk(samples: MetricSamples, scales: MetricScales) -> Array | None:
     """
     if samples.speed_mps is None or samples.yaw_rate_radps is None:
         return None
-    ticks = window_ticks(scales.dt_s)
-    means = window_means(samples.speed_mps * samples.yaw_rate_radps, ticks)
-    return np.diff(means) / (ticks * scales.dt_s * LATERAL_JERK_MPS3)
+    return window_rates(samples.speed_mps * samples.yaw_rate_radps, scales.dt_s) / JERK_MPS3
+
+
+def longitudinal_jerk(samples: MetricSamples, scales: MetricScales) -> Array | None:
+    """d/dt acceleration / 2 m/s^3, between means over 0.1 s."""
+    return None if samples.accel_mps2 is None else window_rates(samples.accel_mps2, scales.dt_s) / JERK_MPS3
+
+
+def pedal_rate(samples: MetricSamples, scales: MetricScales) -> Array | None:
+    """d/dt (throttle - brake) / 0.5 duty/s, between means over 0.1 s; what both have at rest cancels."""
+    if samples.cmd_throttle_frac is None or samples.cmd_brake_frac is None:
+        return None
+    return window_rates(samples.cmd_throttle_frac - samples.cmd_brake_frac, scales.dt_s) / PEDAL_RATE_PER_S
+
+
+def start_overshoot(lateral_error_m: Array, dt_s: float) -> float:
+    """Largest error on the other side of the road / initial offset, of means over 0.1 s."""
+    means = window_means(lateral_error_m, window_ticks(dt_s))
+    return max(0.0, float((-means / means[0]).max()))
+
+
+def start_settling(lateral_error_m: Array, dt_s: float) -> float:
+    """Time until means over 0.1 s stay within the band / duration of the start; 1 where they do not."""
+    means = window_means(lateral_error_m, window_ticks(dt_s))
+    outside = np.flatnonzero(np.abs(means) > START.settled_m)
+    return (float(outside[-1]) + 1.0) / len(means) if len(outside) else 0.0
+
+
+def start_ticks(dt_s: float) -> int:
+    """Number of ticks of the start of a drive."""
+    return round(START.duration_s / dt_s)
+
+
+def window_rates(values: Array, dt_s: float) -> Array:
+    """d/dt between means over JERK_WINDOW_S."""
+    ticks = window_ticks(dt_s)
+    return np.diff(window_means(values, ticks)) / (ticks * dt_s)
 
 
 def window_ticks(dt_s: float) -> int:
@@ -132,7 +198,11 @@ def window_means(values: Array, ticks: int) -> Array:
     return values[: windows * ticks].reshape(windows, ticks).mean(axis=1)
 
 
-METRICS: dict[str, RmsMetric | PeakMetric | SeriesMetric] = {
+MetricFormula = RmsMetric | PeakMetric | LaterRmsMetric | SeriesMetric | StartMetric
+
+# Divisors of this project's errors: about what the worst tenth of random gain sets that drive without re-plans reach
+# (docs/results/score_shares.md); the peaks' are Apollo's, except that 0.5236 rad of heading is beyond any drive.
+METRICS: dict[str, MetricFormula] = {
     "station_err_std": RmsMetric("station_error_m", "VT", Subset.MOVING),
     "station_err_std_harsh": RmsMetric("station_error_m", "VT", Subset.HARSH_ACCEL),
     "speed_err_std": RmsMetric("speed_error_mps", "V", Subset.MOVING),
@@ -151,10 +221,21 @@ METRICS: dict[str, RmsMetric | PeakMetric | SeriesMetric] = {
     "steer_rate_rms": SeriesMetric(steer_rate, ("cmd_steer_rad",)),
     "lateral_jerk_rms": SeriesMetric(lateral_jerk, ("speed_mps", "yaw_rate_radps")),
     "steering_control_usage": SeriesMetric(steering_usage, ("cmd_steer_rad",)),
+    "lateral_rms_after_start": LaterRmsMetric("lateral_error_m", 0.1),
+    "station_rms_after_start": LaterRmsMetric("station_error_m", 0.5),
+    "speed_rms_after_start": LaterRmsMetric("speed_error_mps", 0.15),
+    "heading_rms_after_start": LaterRmsMetric("heading_error_rad", 0.03),
+    "start_overshoot": StartMetric(start_overshoot),
+    "start_settling": StartMetric(start_settling),
+    "lateral_peak_after_start": PeakMetric("lateral_error_m", 0.5, after_start=True),
+    "station_peak_after_start": PeakMetric("station_error_m", 1.0, after_start=True),
+    "speed_peak_after_start": PeakMetric("speed_error_mps", 0.5, after_start=True),
+    "heading_peak_after_start": PeakMetric("heading_error_rad", 0.1, after_start=True),
+    "longitudinal_jerk_rms": SeriesMetric(longitudinal_jerk, ("accel_mps2",)),
+    "pedal_rate_rms": SeriesMetric(pedal_rate, ("cmd_throttle_frac", "cmd_brake_frac")),
 }
 
 # Apollo's code divides the heading error itself, not its rate, by C V
-MetricFormula = RmsMetric | PeakMetric | SeriesMetric
 AS_PUBLISHED: dict[str, MetricFormula] = {
     "heading_err_rate_std_harsh": RmsMetric("heading_error_rad", "CV", Subset.HARSH_CURVATURE)
 }
@@ -166,20 +247,28 @@ class MetricEvaluator:
     def __init__(self, samples: MetricSamples, scales: MetricScales) -> None:
         self.samples = samples
         self.scales = scales
+        self.start_ticks = start_ticks(scales.dt_s)
         self._masks: dict[Subset, Array | None] = {}
         self._divisors: dict[str, Array | None] = {}
         self._subset_divisors: dict[tuple[str, Subset], Array] = {}
 
-    def series(self, formula: RmsMetric | PeakMetric | SeriesMetric) -> Array | None:
+    def series(self, formula: MetricFormula) -> Array | None:
         """Series whose RMS or peak is the metric, one value a counting sample; None where a column is missing.
 
-        A PeakMetric's series is not yet divided by its threshold. Non-finite samples are still included.
+        A PeakMetric's series is not yet divided by its threshold. Non-finite samples are still included, except in a
+        StartMetric's, which is the lateral error during the start.
         """
         if isinstance(formula, SeriesMetric):
             return formula.series(self.samples, self.scales)
+        if isinstance(formula, StartMetric):
+            return self._start_error()
         error = getattr(self.samples, formula.error)
-        if error is None or isinstance(formula, PeakMetric):
-            return error
+        if error is None:
+            return None
+        if isinstance(formula, PeakMetric):
+            return error[self.start_ticks :] if formula.after_start else error
+        if isinstance(formula, LaterRmsMetric):
+            return error[self.start_ticks :] / formula.scale
         mask = self.subset_mask(formula.subset)
         if formula.divisors not in self._divisors:
             self._divisors[formula.divisors] = _divisor(formula.divisors, self.samples, self.scales)
@@ -197,15 +286,27 @@ class MetricEvaluator:
             self._masks[subset] = _subset_mask(subset, self.samples)
         return self._masks[subset]
 
-    def value(self, formula: RmsMetric | PeakMetric | SeriesMetric) -> float | None:
+    def value(self, formula: MetricFormula) -> float | None:
         """Value of a metric; None where it is not available."""
         series = self.series(formula)
         if series is None:
             return None
+        if isinstance(formula, StartMetric):
+            return formula.value(series, self.scales.dt_s) if len(series) else None
         return peak(series, formula.threshold) if isinstance(formula, PeakMetric) else rms(series)
 
+    def _start_error(self) -> Array | None:
+        """Finite lateral errors during the start; empty where it is cut short or begins without an offset."""
+        lateral = self.samples.lateral_error_m
+        if lateral is None:
+            return None
+        start = lateral[: self.start_ticks]
+        known = start[np.isfinite(start)]
+        is_start = len(start) == self.start_ticks and len(known) > 0 and abs(known[0]) >= START.min_offset_m
+        return known if is_start else known[:0]
 
-def metric_formula(name: str, *, as_published: bool = False) -> RmsMetric | PeakMetric | SeriesMetric:
+
+def metric_formula(name: str, *, as_published: bool = False) -> MetricFormula:
     """Formula of a metric; as_published: with Apollo's error. Raises KeyError for an unknown name."""
     return AS_PUBLISHED.get(name, METRICS[name]) if as_published else METRICS[name]
 
@@ -222,7 +323,7 @@ def is_planned(name: str, plan: MetricSamples) -> bool:
     return is_formula_planned(METRICS[name], plan)
 
 
-def is_formula_planned(formula: RmsMetric | PeakMetric | SeriesMetric, plan: MetricSamples) -> bool:
+def is_formula_planned(formula: MetricFormula, plan: MetricSamples) -> bool:
     """As is_planned, for a formula."""
     mask = _subset_mask(formula.subset, plan) if isinstance(formula, RmsMetric) else None
     return mask is None or int(np.count_nonzero(mask)) >= MIN_SAMPLES

@@ -8,6 +8,7 @@ ends early does not count less.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,14 +29,17 @@ from tunefree_hil.grade.metrics import (
     samples_from_recording,
 )
 from tunefree_hil.grade.original_reference import samples_against_original
-from tunefree_hil.grade.oscillation.detection import find_oscillations, with_references
-from tunefree_hil.grade.oscillation.report import OscillationReport
+from tunefree_hil.grade.oscillation.detection import find_oscillations, oscillation_metrics, with_references
+from tunefree_hil.grade.oscillation.report import OscillationReport, finding_as_data
+from tunefree_hil.grade.requirements.measure import RequirementValues, measure_requirements
 
 FINISHED = "finished"
 DIVERGED = "diverged"
 LEFT_LANE = "left_lane"
 CONTROL_ERRORS = ("control_error", "controller_own")  # errors caused by the controller
 GRADED_ENDS = ("", DIVERGED, LEFT_LANE, *CONTROL_ERRORS)  # ends caused by the parameters; all others by the bench
+PEDAL_ALTERNATION = "pedal_alternation"
+SCORE_METRICS = (*METRICS, PEDAL_ALTERNATION)  # metrics that weights may name
 MAX_MISSING_TICKS = 10  # a recording that lacks up to so many planned rows counts as complete
 
 
@@ -50,10 +54,11 @@ class GradeVehicle(NamedTuple):
 
 
 class ScenarioGrade(NamedTuple):
-    """Grade of one drive. metrics: every metric of METRICS, None where not available.
+    """Grade of one drive. metrics: every metric of SCORE_METRICS, None where not available.
 
     outcome: 'finished', or the name of what ended the drive. dropped: weighted metrics that are None.
-    oscillation: no part of the score.
+    oscillation: of it only the pedals' alternation is a part of the score. requirements: no part of the score; a value
+    of every requirement, None where not available.
     """
 
     scenario: str
@@ -64,11 +69,13 @@ class ScenarioGrade(NamedTuple):
     planned_samples: int
     dropped: tuple[str, ...] = ()
     oscillation: OscillationReport = OscillationReport()
+    requirements: RequirementValues = MappingProxyType({})
 
     def as_data(self) -> dict[str, Any]:
-        """Plain data for JSON, without the oscillation."""
-        data = self._asdict()
-        del data["oscillation"]
+        """Plain data for JSON. The worst oscillation is in it where it is beyond its limit."""
+        data, worst = self._asdict(), self.oscillation.worst
+        data["requirements"] = dict(self.requirements)
+        data["oscillation"] = None if worst is None or worst.ratio <= 1.0 else finding_as_data(worst)
         return data
 
 
@@ -123,6 +130,10 @@ def grade_drive(
         name: sharing.value(metric_formula(name, as_published=weights.as_published)) if name in planned else None
         for name in METRICS
     }
+    columns = with_references(recording.columns, original)
+    oscillation = find_oscillations(columns, recording.dt_s, rest_pedal_frac=vehicle.rest_pedal_frac)
+    ratios = oscillation_metrics(oscillation, columns, recording.dt_s)
+    metrics[PEDAL_ALTERNATION] = ratios.get(PEDAL_ALTERNATION)
     outcome = error or judge_outcome(original, weights)
     replans = _count_replans(recording)
     dropped = tuple(name for name, weight in weights.metrics.items() if weight > 0.0 and metrics[name] is None)
@@ -131,9 +142,8 @@ def grade_drive(
     else:
         _require_complete(recording, course, scenario)
         score = min(weighted_mean(metrics, weights) + weights.replan_penalty * replans, weights.failure_score)
-    columns = with_references(recording.columns, original)
-    oscillation = find_oscillations(columns, recording.dt_s, rest_pedal_frac=vehicle.rest_pedal_frac)
-    return ScenarioGrade(scenario, score, metrics, replans, outcome, course.ticks, dropped, oscillation)
+    requirements = measure_requirements(recording, course, original, oscillation, replans)
+    return ScenarioGrade(scenario, score, metrics, replans, outcome, course.ticks, dropped, oscillation, requirements)
 
 
 def planned_metrics(course: Course) -> frozenset[str]:
@@ -173,7 +183,7 @@ def weighted_mean(metrics: dict[str, float | None], weights: WeightsSpec) -> flo
     for name, weight in weights.metrics.items():
         value = metrics[name]
         if value is not None and weight > 0.0:
-            total += weight * value
+            total += weight * counted_value(value, weights)
             share += weight
     if share == 0.0:
         raise InputError(
@@ -183,6 +193,11 @@ def weighted_mean(metrics: dict[str, float | None], weights: WeightsSpec) -> flo
             hint="does the vehicle send INS frames, and does the log contain at least 5 ticks of them?",
         )
     return total / share
+
+
+def counted_value(value: float, weights: WeightsSpec) -> float:
+    """The part of a metric's value that the score counts."""
+    return min(value, weights.largest_value) if weights.largest_value > 0.0 else value
 
 
 def combine_scores(grades: Sequence[ScenarioGrade]) -> float:

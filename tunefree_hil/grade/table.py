@@ -1,4 +1,4 @@
-"""Table of all metrics by aspect: the 42 of Apollo's control profiling and eight of this project.
+"""Table of all metrics by aspect: the 42 of Apollo's control profiling and twenty of this project.
 
 Aggregation of a series s of N samples to a value, and combination of the values of several drives:
   std    sqrt(sum s^2 / (N - 1))     pooled: sqrt((x^2 (nx - 1) + y^2 (ny - 1)) / (nx + ny - 1))
@@ -12,7 +12,18 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 from tunefree_hil.grade import signals
-from tunefree_hil.grade.metrics import METRICS, MIN_SAMPLES, PeakMetric, RmsMetric, SeriesMetric, Subset
+from tunefree_hil.grade.metrics import (
+    METRICS,
+    MIN_SAMPLES,
+    START,
+    LaterRmsMetric,
+    MetricFormula,
+    PeakMetric,
+    RmsMetric,
+    SeriesMetric,
+    StartMetric,
+    Subset,
+)
 
 Aggregation = Literal["std", "peak", "share", "mean"]
 PERFORMANCE, SAFETY, COMFORT, EFFORT = "performance", "safety", "comfort", "effort"
@@ -54,7 +65,7 @@ RATE_FORMULAS: dict[str, RmsMetric | PeakMetric] = {
     "lateral_err_rate_std_harsh": RmsMetric("lateral_error_rate_mps", "CVL", Subset.HARSH_CURVATURE),
     "lateral_err_rate_peak": PeakMetric("lateral_error_rate_mps", 0.5),
 }
-FORMULAS: dict[str, RmsMetric | PeakMetric | SeriesMetric] = {**METRICS, **RATE_FORMULAS}
+FORMULAS: dict[str, MetricFormula] = {**METRICS, **RATE_FORMULAS}
 
 
 def _error_row(name: str) -> MetricRow:
@@ -76,6 +87,20 @@ def _series_row(name: str, aspect: str, description: str, *, ours: bool) -> Metr
     row = FORMULAS[name]
     assert isinstance(row, SeriesMetric)
     return MetricRow(aspect, "std", description, row.needs, ours=ours)
+
+
+def _later_row(name: str, aspect: str) -> MetricRow:
+    """Row of a metric of the errors after the start, from its formula."""
+    formula, after = FORMULAS[name], f", t >= {START.duration_s:g} s"
+    if isinstance(formula, LaterRmsMetric):
+        return MetricRow(aspect, "std", f"{formula.error} / {formula.scale:g}{after}", (formula.error,), ours=True)
+    assert isinstance(formula, PeakMetric) and formula.after_start
+    return MetricRow(aspect, "peak", f"|{formula.error}| / {formula.threshold:g}{after}", (formula.error,), ours=True)
+
+
+def _start_row(name: str, description: str) -> MetricRow:
+    assert isinstance(FORMULAS[name], StartMetric)
+    return MetricRow(PERFORMANCE, "peak", description, ("lateral_error_m",), ours=True)
 
 
 def _ending_row(error: str, threshold: float) -> MetricRow:
@@ -108,6 +133,7 @@ def _oscillation_row(name: str, aspect: str, signal_text: str) -> MetricRow:
 
 
 _GROUPS = ("station_err", "speed_err", "lateral_err", "lateral_err_rate", "heading_err", "heading_err_rate")
+_ERRORS = ("lateral", "station", "speed", "heading")
 _LATERAL_ACCEL = "v yaw_rate"
 
 TABLE: dict[str, MetricRow] = {
@@ -185,6 +211,12 @@ TABLE: dict[str, MetricRow] = {
     ),
     "lateral_jerk_rms": _series_row("lateral_jerk_rms", COMFORT, f"d/dt ({_LATERAL_ACCEL}) / 2 m/s3", ours=True),
     "steer_rate_rms": _series_row("steer_rate_rms", EFFORT, "d/dt cmd_steer_rad / limit of the rate", ours=True),
+    **{f"{error}_rms_after_start": _later_row(f"{error}_rms_after_start", PERFORMANCE) for error in _ERRORS},
+    "start_overshoot": _start_row("start_overshoot", "lateral error beyond the road / initial offset"),
+    "start_settling": _start_row("start_settling", f"time until within {START.settled_m:g} m / {START.duration_s:g} s"),
+    **{f"{error}_peak_after_start": _later_row(f"{error}_peak_after_start", SAFETY) for error in _ERRORS},
+    "longitudinal_jerk_rms": _series_row("longitudinal_jerk_rms", COMFORT, "d/dt accel_mps2 / 2 m/s3", ours=True),
+    "pedal_rate_rms": _series_row("pedal_rate_rms", EFFORT, "d/dt (throttle - brake) / 0.5 duty/s", ours=True),
     "oscillation_steer": _oscillation_row("oscillation_steer", COMFORT, "sustained swing of the wheel / limit"),
     "oscillation_accel": _oscillation_row("oscillation_accel", COMFORT, "sustained swing of accel_mps2 / limit"),
     "oscillation_speed": _oscillation_row("oscillation_speed", COMFORT, "sustained swing of speed_mps / limit"),

@@ -10,15 +10,18 @@ from typing import Any
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, calibration_path, model_of, part_names
+from tunefree_hil.bench.identified import steering_map_path
 from tunefree_hil.config.dump import plain, to_toml
 from tunefree_hil.config.find import find
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.jobs.running.foreign import controller_program, program_hashes
 
+FILE_KEYS = ("calibration", "steering_map")  # of [controller]: their content counts, wherever they lie
+
 
 def compute_identity(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]) -> dict[str, Any]:
     """`hashes` of the files, and `identity`: one hash over everything that a score depends on."""
-    controller = {key: value for key, value in plain(bench.spec.controller).items() if key != "calibration"}
+    controller = {key: value for key, value in plain(bench.spec.controller).items() if key not in FILE_KEYS}
     disturbed = plain([bench.spec.effects, bench.spec.faults])
     hashes: dict[str, Any] = {
         "bench": file_sha256(Path(bench.file)),
@@ -28,12 +31,22 @@ def compute_identity(bench: Bench, model: str, scenarios: Iterable[ScenarioSpec]
         "weights": file_sha256(Path(bench.weights.path)),
         "scenarios": {scenario.name: scenario.hash for scenario in scenarios},
     }
+    if steering := steering_map_hash(bench):
+        hashes["steering_map"] = steering
+    if bench.spec.ensemble is not None:
+        hashes["ensemble"] = data_sha256([plain(bench.spec.ensemble), bench.spec.seed])  # the seed draws the cars
     if bench.spec.controller.command:
         hashes["controller"] = program_hashes(bench)
     if user_parts := user_part_hashes(bench, model):
         hashes["parts"] = user_parts
     counted = [{key: value for key, value in hashes.items() if key != "bench"}, controller, disturbed]
     return {"hashes": hashes, "identity": data_sha256(counted)}
+
+
+def steering_map_hash(bench: Bench) -> str:
+    """SHA-256 of the steering map's file, or the word of another choice; '' for what the model says of its axles."""
+    path = steering_map_path(bench)
+    return file_sha256(path) if path is not None and path.is_file() else bench.spec.controller.steering_map or ""
 
 
 def user_part_hashes(bench: Bench, model: str) -> dict[str, str]:
@@ -64,9 +77,10 @@ def resolved_toml(bench: Bench, scenarios: Iterable[ScenarioSpec] | None = None)
     data["controller"] |= part_names(bench)._asdict()
     if spec.controller.command:
         data["controller"]["command"] = controller_program(bench)
-    beside = Path(bench.file).parent / spec.controller.calibration
-    if spec.controller.calibration and beside.is_file():
-        data["controller"]["calibration"] = str(beside.resolve())
+    for key in FILE_KEYS:
+        beside = Path(bench.file).parent / (getattr(spec.controller, key) or "")
+        if beside.is_file():
+            data["controller"][key] = str(beside.resolve())
     return to_toml(data)
 
 

@@ -14,14 +14,15 @@ from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.episode.compare import compare_logs
 from tunefree_hil.episode.frame_hash import frame_hash
 from tunefree_hil.jobs.drive import find_scenario, new_session_name
-from tunefree_hil.jobs.identity import file_sha256, user_part_hashes
+from tunefree_hil.jobs.identity import file_sha256, steering_map_hash, user_part_hashes
 from tunefree_hil.jobs.options.records import ReplayOptions
 from tunefree_hil.jobs.run_folder import RunFolder, open_run, read_json
 from tunefree_hil.jobs.running.foreign import make_launch, program_hashes, require_foreign_controller
 from tunefree_hil.jobs.running.session import BenchSession
 
 EXIT_DIFFERENT = 1  # exit status
-FILE_TEXTS = {"calibration": "open-loop map", "parts": "user modules"}  # texts for keys of `hashes`
+# Texts for keys of `hashes`
+FILE_TEXTS = {"calibration": "open-loop map", "steering_map": "steering map", "parts": "user modules"}
 SUMMARY_KEYS = ("frame_hash", "parameters", "scenario", "seed")
 
 
@@ -135,6 +136,7 @@ def _require_same_files(folder: RunFolder, bench: Bench, model: str) -> None:
         "model": model_of(bench, model).hash,
         "scenarios": {name: find_scenario(bench, name).hash for name in stored.get("scenarios", {})},
         "calibration": file_sha256(calibration_path(bench)),
+        "steering_map": steering_map_hash(bench),
         "controller": program_hashes(bench),
         "parts": user_part_hashes(bench, model),
     }

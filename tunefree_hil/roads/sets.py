@@ -21,6 +21,7 @@ from tunefree_hil.roads.public_roads import plan_public_roads
 PUBLIC = "public229"
 TAGS = {"families": "s", PUBLIC: "p", "robust": "r"}  # before the seed in the names of the roads
 VERIFY_SEEDS = 10_000  # a verification's seed lies so much above that of its search; seeds of bench files lie below
+HELD_OUT_SEEDS = 20_000  # the same of the roads that choose among trials
 
 
 def road_set(
@@ -56,6 +57,11 @@ def search_roads(vehicle: VehicleSpec, roads: RoadsSpec, drive: DriveAbility | N
 def verify_roads(vehicle: VehicleSpec, roads: RoadsSpec, drive: DriveAbility | None = None) -> list[ScenarioSpec]:
     """The roads of a bench file for the verification, by a seed that no search has."""
     return _from_text(vehicle, roads.verify, roads.seed + VERIFY_SEEDS, drive)
+
+
+def held_out_roads(vehicle: VehicleSpec, text: str, seed: int, drive: DriveAbility | None = None) -> list[ScenarioSpec]:
+    """The roads of a set that choose among the trials of a search, by a seed that no search and no verification has."""
+    return _from_text(vehicle, text, seed + HELD_OUT_SEEDS, drive)
 
 
 def _from_text(vehicle: VehicleSpec, text: str, seed: int, drive: DriveAbility | None) -> list[ScenarioSpec]:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.control.parameters import BASELINES, study_values
+from tunefree_hil.tune.loop_margins import LateralLoop, Weights, reduce_to_margins
 from tunefree_hil.tune.space import Axis, Space
 
 FIRST_TRIAL = "mrac_on"  # with look-ahead 0
@@ -22,6 +23,9 @@ RULE_BASED = "rule_based"
 BORROWED = {"borrowed": "as_shipped", "borrowed_mrac_on": "mrac_on"}  # gains of another vehicle, with the shipped name
 
 OUTER_LOOP_RATIO = 5.0  # time-scale separation of a cascade
+# Lag from the pedals to the force at the road. Reports contain the pedals, not the torque, so it is in no model's
+# actuators. The usual assumption for a speed loop (Rajamani, Vehicle Dynamics and Control, adaptive cruise control).
+DRIVE_LINE_LAG_S = 0.5
 MAY_BE_ZERO = ("drive_dead_time_s", "drive_lag_s", "loop_delay_s")
 
 
@@ -86,19 +90,37 @@ def make_first_trial(space: Space, baseline: Mapping[str, float] | None = None) 
     return space.clip({axis.name: manual.get(axis.name, _middle(axis)) for axis in space.axes})
 
 
+def list_further_starts(
+    space: Space, vectors: Mapping[str, Mapping[str, float]], first: Mapping[str, float]
+) -> list[dict[str, float]]:
+    """All baselines clipped to the space, without `first` and without equal ones."""
+    starts: list[dict[str, float]] = []
+    for vector in vectors.values():
+        start = make_first_trial(space, vector)
+        if start != first and start not in starts:
+            starts.append(start)
+    return starts
+
+
 def equivalent_lag_s(natural_hz: float, damping: float) -> float:
     """First-order lag with the phase slope of a second-order system at low frequency: 2 damping / omega_n, in s."""
     return 2.0 * damping / (2.0 * math.pi * natural_hz)
 
 
-def compute_rule_based(inputs: RuleInputs) -> dict[str, float]:
+def compute_rule_based(inputs: RuleInputs, loop: LateralLoop) -> dict[str, float]:
     """Compute a complete vector from textbook rules, not clipped to a search space.
 
     Speed: SIMC (Skogestad 2003, J. Process Control 13, 291-309). With a correct open-loop map the speed is the integral
-    of the command after dead time and lag. The half rule takes dead time + lag / 2 as delay theta; tau_c = theta gives
-    kp = 1 / (2 theta) and ki = kp / (8 theta), at all speeds. Station: the same rule for the outer loop, proportional
-    only, five times slower. Q: Bryson's rule (Bryson and Ho 1975), q = (largest input / largest error)^2 at R = 1. The
-    reference model of MRAC is as fast as the actuator; for p there is no rule, it keeps the manual product.
+    of the command after dead time and two lags, of the pedals and of the drive line. The half rule takes dead time +
+    smaller lag + half of the larger one as delay theta; tau_c = theta gives kp = 1 / (2 theta) and ki = kp / (8 theta),
+    at all speeds. Station: the same rule for the outer loop, proportional only, five times slower. Q: Bryson's rule
+    (Bryson and Ho 1975), q = (largest input / largest error)^2 at R = 1, reduced until the loop with its dead time and
+    lag keeps a phase margin of 45 degrees and twice its delay at every speed. The reference model of MRAC is as fast as
+    the actuator; for p there is no rule, it keeps the manual product.
+
+    Args:
+        inputs: Numbers of the vehicle.
+        loop: Lateral loop, for the margins.
 
     Raises:
         InputError: An input is not above 0.
@@ -107,13 +129,15 @@ def compute_rule_based(inputs: RuleInputs) -> dict[str, float]:
         if not (math.isfinite(value) and value >= 0.0) or (value == 0.0 and name not in MAY_BE_ZERO):
             hint = "give it in vehicle.toml or model.toml"
             raise InputError(f"rule_based needs {name}, not {value}", code="bad_rule_input", key=name, hint=hint)
-    return {**study_values(), **_speed_gains(inputs), **_lateral_weights(inputs), "mrac.t_ref_s": inputs.steer_lag_s}
+    lateral = reduce_to_margins(loop, _bryson_weights(inputs))
+    names = ("lqr.q1", "lqr.q2", "lqr.q3", "lqr.q4")
+    weights = dict(zip(names, lateral, strict=True))
+    return {**study_values(), **_speed_gains(inputs), **weights, "mrac.t_ref_s": inputs.steer_lag_s}
 
 
 def _speed_gains(inputs: RuleInputs) -> dict[str, float]:
-    delay_s = inputs.drive_dead_time_s + inputs.loop_delay_s + 0.5 * inputs.drive_lag_s
-    if delay_s <= 0.0:
-        raise InputError("rule_based needs a delay in the drive channel", code="bad_rule_input", key="drive_lag_s")
+    smaller_s, larger_s = sorted((inputs.drive_lag_s, DRIVE_LINE_LAG_S))
+    delay_s = inputs.drive_dead_time_s + inputs.loop_delay_s + smaller_s + 0.5 * larger_s
     closed_s = delay_s  # tau_c: the fastest that SIMC recommends
     kp = 1.0 / (closed_s + delay_s)
     ki = kp / (4.0 * (closed_s + delay_s))
@@ -122,18 +146,17 @@ def _speed_gains(inputs: RuleInputs) -> dict[str, float]:
     return {"station.kp": 1.0 / outer_s, **gains}
 
 
-def _lateral_weights(inputs: RuleInputs) -> dict[str, float]:
+def _bryson_weights(inputs: RuleInputs) -> Weights:
     """Bryson's rule; the largest input is the steering stop, or the angle that the lateral acceleration allows."""
     stop_rad = inputs.steer_limit_rad / inputs.steer_ratio
     grip_rad = math.atan(inputs.lateral_accel_mps2 * inputs.wheelbase_m / (inputs.speed_mps * inputs.speed_mps))
-    limits = BrysonLimits()
-    largest_errors = {
-        "lqr.q1": limits.lateral_m,
-        "lqr.q2": limits.lateral_rate_mps,
-        "lqr.q3": limits.heading_rad,
-        "lqr.q4": limits.heading_rate_radps,
-    }
-    return {name: (min(stop_rad, grip_rad) / error) ** 2 for name, error in largest_errors.items()}
+    largest_rad, limits = min(stop_rad, grip_rad), BrysonLimits()
+    return (
+        (largest_rad / limits.lateral_m) ** 2,
+        (largest_rad / limits.lateral_rate_mps) ** 2,
+        (largest_rad / limits.heading_rad) ** 2,
+        (largest_rad / limits.heading_rate_radps) ** 2,
+    )
 
 
 def _middle(axis: Axis) -> float:

@@ -10,17 +10,23 @@ from tunefree_hil.tune.study import Baseline
 
 
 class BestBaseline(NamedTuple):
-    """The baseline with the lowest score. replans: sum over its scenarios. Stored under its field names."""
+    """The best baseline. Stored under its field names.
+
+    replans: Sum over its scenarios.
+    violation: Of the requirements of the study, 0 where they are met.
+    """
 
     name: str
     score: float
     replans: int
+    violation: float = 0.0
 
 
 def find_best_baseline(baselines: Mapping[str, Baseline]) -> BestBaseline:
-    """The baseline with the lowest score, the first of equals. Raises InputError without baselines."""
+    """The best baseline: requirements first, then score, then the first. Raises InputError without baselines."""
     if not baselines:
         raise InputError("no baseline was scored", code="no_baseline", hint="score one with Study.add_baseline")
-    name = min(baselines, key=lambda name: baselines[name].score)
+    name = min(baselines, key=lambda name: (baselines[name].violation, baselines[name].score))
     best = baselines[name]
-    return BestBaseline(name, best.score, sum(int(drive.get("replans", 0) or 0) for drive in best.scenarios.values()))
+    replans = sum(int(drive.get("replans", 0) or 0) for drive in best.scenarios.values())
+    return BestBaseline(name, best.score, replans, best.violation)

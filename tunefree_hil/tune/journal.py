@@ -18,6 +18,7 @@ from typing import Any
 import optuna
 
 from tunefree_hil.base.errors import BenchError, InputError, TunefreeError
+from tunefree_hil.grade.requirements.judgement import measure_violation
 from tunefree_hil.tune import store
 from tunefree_hil.tune.shared.study_copy import copy_study
 from tunefree_hil.tune.store import StudySettings
@@ -48,7 +49,7 @@ class Journal:
         return list(self._failures)
 
     def best(self) -> Trial | None:
-        """The trial with the lowest score, the earliest of equals; None before the first trial."""
+        """The best trial (`find_best_trial`); None before the first trial."""
         return find_best_trial(self.trials())
 
     def baselines(self) -> dict[str, Baseline]:
@@ -132,15 +133,22 @@ class Journal:
     def _apply(self, line: Mapping[str, Any]) -> None:
         """Read a line of the file into memory."""
         if "baseline" in line:
-            self._baselines[line["baseline"]] = Baseline(line["parameters"], line["score"], line["scenarios"])
+            violation = self._violation(line["scenarios"])
+            self._baselines[line["baseline"]] = Baseline(
+                line["parameters"], line["score"], line["scenarios"], violation
+            )
         elif "confirmed" in line:
             self._confirmed[line["confirmed"]] = Evaluation(line["score"], line["scenarios"])
         for data in line.get("trials", ()):
-            slot = data["slot"]
-            self._trials.setdefault(slot, Trial(slot, slot, data["parameters"], data["score"], data["scenarios"]))
+            slot, violation = data["slot"], self._violation(data["scenarios"])
+            trial = Trial(slot, slot, data["parameters"], data["score"], data["scenarios"], violation=violation)
+            self._trials.setdefault(slot, trial)
         for data in line.get("failures", ()):
             failed = Trial(data["slot"], data["slot"], data["parameters"], math.nan, {}, data["error"])
             self._failures.append(failed)
+
+    def _violation(self, scenarios: Mapping[str, Any]) -> float:
+        return measure_violation(scenarios, self.settings.requirements)
 
 
 def open_journal(path: Path, settings: StudySettings) -> Journal:

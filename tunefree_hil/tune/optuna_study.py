@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import optuna
 from optuna.trial import FrozenTrial, TrialState
 
+from tunefree_hil.grade.requirements.judgement import measure_violation
 from tunefree_hil.tune import store
 from tunefree_hil.tune.sampling import sampler_value_from_score
 from tunefree_hil.tune.trial import INTERRUPTED, Baseline, Evaluation, Trial, check_evaluation
@@ -49,7 +51,9 @@ class StoredTrials:
     def baselines(self) -> dict[str, Baseline]:
         """The stored baselines by name."""
         attributes = self.optuna_study.user_attrs.items()
-        return {key.removeprefix(BASELINE): Baseline(**data) for key, data in attributes if key.startswith(BASELINE)}
+        return {
+            key.removeprefix(BASELINE): self._baseline(data) for key, data in attributes if key.startswith(BASELINE)
+        }
 
     def ask(self, slot: int, parameters: Mapping[str, float]) -> optuna.Trial:
         """Begin a trial with these parameters; it is stored as running."""
@@ -85,4 +89,12 @@ class StoredTrials:
             score=math.nan if is_failed else attributes["score"],
             scenarios=attributes.get("scenarios", {}),
             error=attributes.get("error", INTERRUPTED) if is_failed else "",
+            violation=self._violation(attributes.get("scenarios", {})),
         )
+
+    def _baseline(self, data: Mapping[str, Any]) -> Baseline:
+        scenarios = data["scenarios"]
+        return Baseline(data["parameters"], data["score"], scenarios, self._violation(scenarios))
+
+    def _violation(self, scenarios: Mapping[str, Any]) -> float:
+        return measure_violation(scenarios, self.settings.requirements)

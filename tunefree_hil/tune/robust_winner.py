@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.grade.score import FINISHED
 from tunefree_hil.tune.journal import slot_key
-from tunefree_hil.tune.trial import Trial, find_best_trial
+from tunefree_hil.tune.trial import Trial, find_best_trial, trial_order
 
 
 class DriveTotals(NamedTuple):
@@ -62,10 +62,11 @@ def is_robust(trial: Trial, slower: SlowerTotals) -> bool:
 def rank_trials(trials: Sequence[Trial], slower: SlowerTotals) -> list[Trial]:
     """Sort the trials, the winner first.
 
-    Robust trials by their mean score, then the others by theirs, then trials that were not driven in the slower car by
-    their score; the earliest of equals first.
+    Of trials that meet the requirements: robust trials by their mean score, then the others by theirs, then trials that
+    were not driven in the slower car by their score; the earliest of equals first. Then the other trials by their
+    violation.
     """
-    return sorted(trials, key=lambda trial: (*_rank(trial, slower), trial.slot))
+    return sorted(trials, key=lambda trial: (trial.violation, *_rank(trial, slower), trial.slot))
 
 
 def _rank(trial: Trial, slower: SlowerTotals) -> tuple[RobustnessRank, float]:
@@ -78,9 +79,12 @@ def _rank(trial: Trial, slower: SlowerTotals) -> tuple[RobustnessRank, float]:
 def find_open_trials(trials: Sequence[Trial], slower: SlowerTotals) -> list[Trial]:
     """Trials that may still win and must be driven in the slower car for that, the best score first.
 
-    A trial that re-plans or fails in the nominal car cannot win. Nor can one whose score is no better than the best
-    mean of a robust trial, on the assumption that its score in the slower car is not better than in the nominal one.
+    A trial that re-plans or fails in the nominal car cannot win, nor one that violates the requirements by more than
+    another. Nor can one whose score is no better than the best mean of a robust trial, on the assumption that its score
+    in the slower car is not better than in the nominal one.
     """
+    least = min((trial.violation for trial in trials), default=0.0)
+    trials = [trial for trial in trials if trial.violation == least]
     means = [mean for trial in trials if is_robust(trial, slower) and (mean := mean_score(trial, slower)) is not None]
     best = min(means, default=math.inf)
     not_driven = [trial for trial in trials if slot_key(trial.slot) not in slower]
@@ -91,9 +95,8 @@ def find_open_trials(trials: Sequence[Trial], slower: SlowerTotals) -> list[Tria
 
 
 def find_rejected_trials(trials: Sequence[Trial], slower: SlowerTotals) -> list[Trial]:
-    """Trials with a better score in the nominal car than the winner, the best first."""
+    """Trials that are better in the nominal car than the winner, requirements first, then score; the best first."""
     if not trials or find_best_trial(trials) is None:
         return []
     winner = rank_trials(trials, slower)[0]
-    better = [trial for trial in trials if (trial.score, trial.slot) < (winner.score, winner.slot)]
-    return sorted(better, key=lambda trial: (trial.score, trial.slot))
+    return sorted((trial for trial in trials if trial_order(trial) < trial_order(winner)), key=trial_order)

@@ -24,14 +24,19 @@ from tunefree_hil.tune.space import Space
 optuna.logging.set_verbosity(optuna.logging.WARNING)
 
 SAMPLERS = ("tpe_independent", "tpe_relative", "random")
+CONSTRAINT = "requirements"  # name of the only constraint
 SMALLEST_SCORE = 1e-6  # a score of 0 (no error at all) has no logarithm
 
 
 class ScoredPoint(NamedTuple):
-    """Parameters and score of a finished trial, which a sampler learns from."""
+    """Parameters and score of a finished trial, which a sampler learns from.
+
+    violation: Of the requirements, 0 where they are met; None in a study without requirements.
+    """
 
     parameters: dict[str, float]
     score: float
+    violation: float | None = None
 
 
 def sampler_value_from_score(score: float) -> float:
@@ -88,6 +93,8 @@ def suggest_points(
                 params={axis.name: axis.to_sampler(point.parameters[axis.name]) for axis in space.axes},
                 distributions=distributions,
                 value=sampler_value_from_score(point.score),
+                # TPE ranks trials without a violation first, by score, then the others by their violation.
+                constraints=None if point.violation is None else {CONSTRAINT: point.violation},
             )
             for point in history
         )

@@ -14,7 +14,7 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 
 from tunefree_hil.base.contracts import Tunable
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.control.parameters import BY_NAME, LARGEST32, SETS, Box, box32, round32
+from tunefree_hil.control.parameters import BY_NAME, LARGEST32, SETS, Box, BoxChoice, box32, round32, tunable_in_box
 
 MOST_GRID_POINTS = 100_000
 
@@ -140,6 +140,7 @@ def resolve_space(
     *,
     announced: Iterable[Tunable] = (),
     scale: str = "",
+    box: BoxChoice = BoxChoice.PAPER,
     file: str = "",
 ) -> Space:
     """Make the space of `[tune]` of a bench file: a named set (docs/reference/controller.md), or listed parameters.
@@ -149,12 +150,16 @@ def resolve_space(
         specs: Listed parameters; one without range and choices takes those of the table.
         announced: Parameters that a foreign controller announces, in addition to the table.
         scale: "log" or "linear" overrides the scale of the parameters.
+        box: Which range the parameters of the table have.
         file: Named in error messages.
 
     Raises:
         InputError: It names file and key.
     """
-    table = {**{name: row.tunable for name, row in BY_NAME.items()}, **{tunable.name: tunable for tunable in announced}}
+    table = {
+        **{name: tunable_in_box(name, box) for name in BY_NAME},
+        **{tunable.name: tunable for tunable in announced},
+    }
     if set_name and specs:
         raise _wrong(file, "", "has both `set` and `parameters`", "keep one of the two")
     if set_name and set_name not in SETS:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +25,7 @@ from tunefree_hil.tune.space import Space, space_from_data
 STUDY_NAME = "tunefree"
 BUSY_S = 60.0  # longest wait while another program, such as the dashboard, has locked the file
 SETTINGS, VERSIONS = "settings", "optuna_versions"
+REQUIREMENTS, STARTS = "requirements", "starts"  # keys of the settings
 
 
 class StudySettings(NamedTuple):
@@ -32,8 +33,11 @@ class StudySettings(NamedTuple):
 
     bench_hash: Hash of all that a score depends on (bench file, DBC, model, scenarios, weights).
     first: Parameters of slot 0, inside the space; empty where the sampler chooses them.
+    starts: Parameters of the slots after it, such as further manual sets.
     in_flight: Slots of a generation, which are tried together; their parameters depend on earlier generations only.
         0: A shared study, in which each free worker takes a slot; its parameters depend on the trials finished by then.
+    requirements: Limits by name, which the sampler gets as a constraint; empty in a search by score alone, as in every
+        study of earlier versions.
     """
 
     space: Space
@@ -42,9 +46,17 @@ class StudySettings(NamedTuple):
     bench_hash: str
     first: dict[str, float]
     in_flight: int = 1
+    requirements: Mapping[str, float] = {}
+    starts: Sequence[Mapping[str, float]] = ()
+
+    @property
+    def given_points(self) -> list[dict[str, float]]:
+        """Parameters of the first slots, which no sampler chooses."""
+        return [dict(values) for values in (self.first, *self.starts) if values]
 
     def as_data(self) -> dict[str, Any]:
         """Plain data, for the study file and for comparison."""
+        requirements = {REQUIREMENTS: dict(self.requirements)} if self.requirements else {}
         return {
             "parameters": self.space.as_data(),
             "seed": self.seed,
@@ -52,6 +64,8 @@ class StudySettings(NamedTuple):
             "bench_hash": self.bench_hash,
             "first": self.first,
             "in_flight": self.in_flight,
+            **requirements,
+            **({STARTS: [dict(values) for values in self.starts]} if self.starts else {}),
         }
 
 
@@ -66,8 +80,8 @@ def check_settings(settings: StudySettings) -> None:
         )
     if settings.in_flight < 0:
         raise InputError(f"in_flight is {settings.in_flight}", code="bad_in_flight", key="tune.in_flight")
-    if settings.first and settings.space.clip(settings.first) != settings.first:
-        message = "the first trial lies outside the search space"
+    if any(settings.space.clip(values) != values for values in settings.given_points):
+        message = "a first trial lies outside the search space"
         raise InputError(message, code="bad_parameter", hint="clip it with Space.clip")
 
 
@@ -116,7 +130,7 @@ def read_settings(study: optuna.Study) -> StudySettings:
     stored = study.user_attrs[SETTINGS]
     space = space_from_data(stored["parameters"])
     values = (stored["seed"], stored["sampler"], stored["bench_hash"], stored["first"], stored.get("in_flight", 1))
-    return StudySettings(space, *values)
+    return StudySettings(space, *values, requirements=stored.get(REQUIREMENTS, {}), starts=stored.get(STARTS, ()))
 
 
 def read_versions(study: optuna.Study) -> tuple[str, ...]:
@@ -152,6 +166,12 @@ def describe_differences(stored: Mapping[str, Any], requested: Mapping[str, Any]
             continue
         for name in [name for name in old if old[name] != new[name]]:
             clauses[f"{group} {name}"] = f"{group} {name} was {_value_text(old[name])}, now {_value_text(new[name])}"
+    if stored.get(STARTS, []) != requested.get(STARTS, []):
+        clauses[STARTS] = f"{len(stored.get(STARTS, []))} further starts before, now {len(requested.get(STARTS, []))}"
+    old, new = stored.get(REQUIREMENTS, {}), requested.get(REQUIREMENTS, {})
+    for name in [name for name in {**old, **new} if old.get(name) != new.get(name)]:
+        before, after = ("none" if limit is None else f"{limit:g}" for limit in (old.get(name), new.get(name)))
+        clauses[f"require {name}"] = f"require.{name} was {before}, now {after}"
     return clauses
 
 

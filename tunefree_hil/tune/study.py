@@ -59,7 +59,7 @@ class Study:
         return self.stored.failures()
 
     def best(self) -> Trial | None:
-        """The trial with the lowest score, the earliest of equals; None before the first trial."""
+        """The best trial (`find_best_trial`); None before the first trial."""
         return find_best_trial(self.trials())
 
     def baselines(self) -> dict[str, Baseline]:

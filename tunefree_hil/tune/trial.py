@@ -25,7 +25,10 @@ class Evaluation(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A filled slot; with `error` and score NaN a failed attempt. `number` is Optuna's, which counts failures too."""
+    """A filled slot; with `error` and score NaN a failed attempt. `number` is Optuna's, which counts failures too.
+
+    violation: Of the requirements of the study, 0 where they are met or the study has none.
+    """
 
     slot: int
     number: int
@@ -33,14 +36,27 @@ class Trial(NamedTuple):
     score: float
     scenarios: dict[str, Any]
     error: str = ""
+    violation: float = 0.0
+
+
+class TrialOrder(NamedTuple):
+    """What trials are compared by, the smaller the better."""
+
+    violation: float
+    score: float
+    slot: int
 
 
 class Baseline(NamedTuple):
-    """Scored parameters for comparison, stored with the study; they do not come from the search."""
+    """Scored parameters for comparison, stored with the study; they do not come from the search.
+
+    violation: As of a Trial.
+    """
 
     parameters: dict[str, float]
     score: float
     scenarios: dict[str, Any]
+    violation: float = 0.0
 
 
 class ScoredStudy(Protocol):
@@ -67,8 +83,13 @@ def check_evaluation(evaluation: Evaluation, name: str) -> None:
 
 
 def find_best_trial(trials: Sequence[Trial]) -> Trial | None:
-    """The trial with the lowest score, the earliest of equals; None without trials."""
-    return min(trials, key=lambda trial: (trial.score, trial.slot), default=None)
+    """The best trial: requirements first, then score, then the earliest; None without trials."""
+    return min(trials, key=trial_order, default=None)
+
+
+def trial_order(trial: Trial) -> TrialOrder:
+    """Sort key: trials that meet the requirements by score, then the others by their violation; the earliest first."""
+    return TrialOrder(trial.violation, trial.score, trial.slot)
 
 
 def failure_text(error: TunefreeError) -> str:

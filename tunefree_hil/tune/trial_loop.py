@@ -53,10 +53,8 @@ def suggest_slots(settings: StudySettings, done: Sequence[Trial], slots: Sequenc
         slots: Slots of one generation, ascending.
     """
     start = slots[0] // settings.in_flight * settings.in_flight
-    history = [ScoredPoint(trial.parameters, trial.score) for trial in done if trial.slot < start]
-    points: dict[int, dict[str, float]] = {}
-    if start == 0 and settings.first:
-        points[0] = dict(settings.first)
+    history = [point_from_trial(trial, settings) for trial in done if trial.slot < start]
+    points = dict(list(enumerate(settings.given_points))[start : slots[-1] + 1])
     # All slots of the generation up to the last one: the earlier ones are in flight with them.
     remaining = range(start + len(points), slots[-1] + 1)
     if remaining:
@@ -70,6 +68,11 @@ def suggest_slots(settings: StudySettings, done: Sequence[Trial], slots: Sequenc
         )
         points |= dict(zip(remaining, suggested, strict=True))
     return {slot: points[slot] for slot in slots}
+
+
+def point_from_trial(trial: Trial, settings: StudySettings) -> ScoredPoint:
+    """What a sampler learns from a trial."""
+    return ScoredPoint(trial.parameters, trial.score, trial.violation if settings.requirements else None)
 
 
 def find_next_slots(filled: set[int], in_flight: int, trials: int) -> list[int]:

@@ -87,8 +87,9 @@ def test_a_stage_that_cannot_do_its_work_says_so_in_record_and_page_and_is_tried
 
 
 def test_a_winner_that_does_not_hold_is_the_exit_status(chain: Chain, asked: CommissionOptions) -> None:
-    chain.results["verify"]["holds"] = False
-    assert chain.run(asked)["exit"] == 1
+    chain.results["verify"] |= {"holds": False, "verdict": "NO GAIN"}
+    data = chain.run(asked)
+    assert data["exit"] == 1 and data["sentence"].startswith("NO GAIN: 6 of 6 stages")
 
 
 @pytest.mark.parametrize(

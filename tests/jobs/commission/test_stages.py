@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import msgspec
 import pytest
 
 from tests import other_vehicle
@@ -25,6 +26,18 @@ def test_the_bench_that_is_tuned_stands_on_what_was_learned(asked: CommissionOpt
     text = plan.write_bench().read_text()
     assert str(plan.model.resolve()) in text and str((plan.map / "calibration.npz").resolve()) in text
     assert 'verify_model = "mkz_reference"' in text and "left_turn" in text
+
+
+def test_the_steering_map_of_the_logs_is_driven_with(asked: CommissionOptions) -> None:
+    plan = make_plan(asked)
+    plan.map.mkdir(parents=True)
+    assert "steering_map =" not in plan.write_bench().read_text()
+    file = plan.map / "steering_map.toml"
+    file.write_text("")
+    assert f'steering_map = "{file.resolve()}"' in plan.write_bench().read_text()
+    controller = msgspec.structs.replace(plan.template.controller, steering_map="data_sheet")
+    chosen = plan._replace(template=msgspec.structs.replace(plan.template, controller=controller))
+    assert str(file.resolve()) not in chosen.write_bench().read_text()
 
 
 def test_a_bench_of_another_vehicle_is_refused(asked: CommissionOptions) -> None:

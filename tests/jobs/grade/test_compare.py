@@ -13,8 +13,8 @@ from tests.bench.tiny import write_bench
 from tests.jobs.made_runs import made_drive, made_tune
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.grade.metrics import METRICS
 from tunefree_hil.grade.profile import MetricValue, combine_values
+from tunefree_hil.grade.score import SCORE_METRICS
 from tunefree_hil.grade.table import PUBLISHED
 from tunefree_hil.jobs.grade.compare import COMBINED, change_text, compare
 from tunefree_hil.jobs.grade.grade import grade_log
@@ -64,7 +64,7 @@ def test_the_table_holds_what_the_drives_scored_and_draws(runs: list[str], tmp_p
         for column, run in enumerate(runs[:2]):
             own = stored(run, number)
             assert table["score"][column] == own["score"]
-            assert {metric: table[metric][column] for metric in METRICS} == own["metrics"]
+            assert {metric: table[metric][column] for metric in SCORE_METRICS} == own["metrics"]
     pooled = data["tables"][COMBINED]["lateral_err_std"][0]
     parts = [MetricValue(data["tables"][name]["lateral_err_std"][0], 150) for name in data["scenarios"]]
     assert pooled == pytest.approx(combine_values("std", parts).value)

@@ -15,13 +15,13 @@ from tests.jobs.made_runs import made_drive
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.episode.recording import load_recording
-from tunefree_hil.grade.metrics import METRICS
 from tunefree_hil.grade.oscillation.report import (
     DrivePlace,
     OscillationFinding,
     OscillationReport,
     OscillationSignal,
 )
+from tunefree_hil.grade.score import SCORE_METRICS
 from tunefree_hil.grade.table import PUBLISHED, TABLE
 from tunefree_hil.jobs.grade.grade import grade_log
 from tunefree_hil.jobs.log.convert import convert
@@ -57,7 +57,7 @@ def tiny(episode: Path) -> str:
 def test_our_own_log_is_graded_as_it_was_driven_and_draws(episode: Path, tmp_path: Path) -> None:
     _, data = graded(episode / "vehicle.log", tiny(episode), tmp_path)
     stored = json.loads((episode / "episode.json").read_text())
-    assert {name: data["metrics"][name]["value"] for name in METRICS} == stored["metrics"]
+    assert {name: data["metrics"][name]["value"] for name in SCORE_METRICS} == stored["metrics"]
     assert data["score"] == stored["score"] and data["outcome"] == "finished"
     assert data["metrics"]["total_time_peak"]["value"] == pytest.approx(0.1)
     assert data["metrics"]["control_error_code_count"]["value"] == 0.0
@@ -93,7 +93,7 @@ def test_other_formats_give_the_same(name: str, episode: Path, tmp_path: Path) -
     list(convert(episode / "vehicle.log", log))
     _, data = graded(log, tiny(episode), tmp_path / "out", vehicle="mkz_bywire")
     stored = json.loads((episode / "episode.json").read_text())
-    assert {metric: data["metrics"][metric]["value"] for metric in METRICS} == stored["metrics"]
+    assert {metric: data["metrics"][metric]["value"] for metric in SCORE_METRICS} == stored["metrics"]
 
 
 def test_the_part_of_a_log_that_is_there(episode: Path, tmp_path: Path) -> None:

@@ -118,17 +118,18 @@ def test_a_folder_that_is_there_is_refused_before_anything_is_read(tmp_path: Pat
 
 
 class Cut(NamedTuple):
-    """A calibration whose own logs are asked until `dies`; what was read, fitted and asked."""
+    """A calibration whose own logs are asked until `dies`; what was fitted, asked, and given a steering map."""
 
     made: list[str]
     asked: list[Path]
     dies: list[bool]
+    steered: list[Path]
 
 
 @pytest.fixture
 def cut(monkeypatch: pytest.MonkeyPatch) -> Cut:
     """In the place of reading, fitting and asking, which take minutes."""
-    found = Cut([], [], [True])
+    found = Cut([], [], [True], [])
     drive = made_drive(4.0, name="a.log")._replace(log_hash="sha256:a")
     value = {"value": 1.0, "known": True}
 
@@ -148,6 +149,10 @@ def cut(monkeypatch: pytest.MonkeyPatch) -> Cut:
         write_card(out, card)
         return None, None
 
+    def steer(folder: Path, *_: Any) -> Generator[Event, None, None]:
+        yield Event("note", "steering map")
+        found.steered.append(folder)
+
     def ask(folder: Path, *_: Any) -> Iterator[Event]:
         yield Event("progress", "suspects", {"label": "own logs"})
         found.asked.append(folder)
@@ -158,6 +163,7 @@ def cut(monkeypatch: pytest.MonkeyPatch) -> Cut:
     for name, stand_in in (
         ("read_logs", read),
         ("_fit_and_write", fit),
+        ("learn_steering_of_folder", steer),
         ("analyse_calibration_logs", ask),
         ("draw_figures", lambda *_: []),
     ):
@@ -178,6 +184,7 @@ def test_cut_off_while_it_asks_its_own_logs_the_same_command_finishes_it(cut: Cu
     cut.dies.clear()
     data = list(job.calibrate(asked))[-1].data
     assert cut.made == ["new"] and cut.asked == [out, out] and data[ANALYSED_KEY] is True
+    assert cut.steered == [out, out], "a map that is there is not learned again (tests/jobs/learn/test_steering.py)"
     assert data["sentence"] == f"{out}: 1 of 1 channels and 1 of 1 constants from the logs"
     with pytest.raises(InputError, match="exists already"):
         next(iter(job.calibrate(asked)))  # it is whole

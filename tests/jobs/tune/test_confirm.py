@@ -18,6 +18,7 @@ from tunefree_hil.jobs.tune.confirm import ConfirmedStudy, confirm_over_bus, fin
 from tunefree_hil.jobs.tune.evaluators import BusEvaluator, VectorCandidate
 from tunefree_hil.jobs.tune.report import write_tune_report
 from tunefree_hil.jobs.tune.robustness import RobustnessResult
+from tunefree_hil.tune.ensemble import CARS
 from tunefree_hil.tune.journal import Journal, open_journal, slot_key
 from tunefree_hil.tune.robust_winner import DriveTotals
 from tunefree_hil.tune.space import resolve_space
@@ -148,3 +149,46 @@ def test_equal_scores_of_other_drives_are_not_equal() -> None:
     assert find_differences({"a": {**one["a"], "frame_hash": "01"}}, same) == ("a: frame_hash",)
     assert find_differences(one, {"a": {**one["a"], "metrics": {"x": 1.0, "y": 0.0}}}) == ("a: y",)
     assert find_differences(one, {**one, "b": {"score": 0.1}}) == ("b: score",)
+
+
+def test_requirements_are_compared_where_both_have_them() -> None:
+    """Trials of an earlier version have none, and the bus that confirms them has."""
+    old = {"score": 0.1, "replans": 0, "metrics": {"a": 1.0}}
+    new = {**old, "requirements": {"replans": 0.0, "lateral_error_peak_m": 0.2}, "oscillation": None}
+    assert find_differences({"bend": old}, {"bend": new}) == ()
+    assert find_differences({"bend": new}, {"bend": new}) == ()
+    other = {**new, "requirements": {"replans": 0.0, "lateral_error_peak_m": 0.3}}
+    assert find_differences({"bend": new}, {"bend": other}) == ("bend: require lateral_error_peak_m",)
+    assert find_differences({"bend": old}, {"bend": {**new, "replans": 1}}) == ("bend: replans",)
+
+
+def test_of_an_ensemble_the_bus_confirms_the_model_and_the_score_stays(bench: Bench, tmp_path: Path) -> None:
+    """Only the batch drives the other cars: their part of the score cannot differ."""
+
+    def over_cars(values: dict[str, float]) -> Evaluation:
+        plain = evaluation(score_of(values))
+        drive = {**plain.scenarios["tiny"], "planned_samples": 200, CARS: {"drives": 3, "mean": 5.0, "worst": 9.0}}
+        return Evaluation(plain.score + 2.0, {"tiny": drive})
+
+    class Bus(FakeBus):
+        def evaluate(self, candidates: Sequence[VectorCandidate]) -> list[Evaluation]:
+            (one,) = super().evaluate(candidates)
+            return [Evaluation(one.score, {"tiny": {**one.scenarios["tiny"], "planned_samples": 200}})]
+
+    settings = StudySettings(resolve_space("mrac", [], file=bench.file), 1, "random", "sha256:00", {}, in_flight=4)
+    journal = open_journal(tmp_path / "cars.jsonl", settings)
+    for name, values in compute_baseline_vectors(bench).items():
+        journal.add_baseline(name, values, over_cars(values))
+    list(run_generations(journal, 4, lambda points: [over_cars(parameters_of(bench, p)) for p in points.values()]))
+    best = min(journal.trials(), key=lambda trial: trial.score)
+    said = confirmed(bench, journal, Bus(), best=1)
+    assert all(line.startswith("progress") and line.endswith("equal") for line in said)
+    winner = ConfirmedStudy(journal).best()
+    assert winner is not None and winner.slot == best.slot and winner.score == best.score
+    assert winner.scenarios["tiny"][CARS]["drives"] == 3
+    wrong = len(compute_baseline_vectors(bench)) + best.slot
+    open_again = open_journal(tmp_path / "wrong.jsonl", settings)
+    for name, values in compute_baseline_vectors(bench).items():
+        open_again.add_baseline(name, values, over_cars(values))
+    list(run_generations(open_again, 4, lambda points: [over_cars(parameters_of(bench, p)) for p in points.values()]))
+    assert "DIFFERENT" in confirmed(bench, open_again, Bus(wrong=[wrong]), best=1)[0]

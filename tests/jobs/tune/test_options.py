@@ -68,3 +68,53 @@ def test_settings_that_no_study_can_have_are_refused_first(tmp_path: Path, more:
     with pytest.raises(InputError):
         begun(tmp_path, **more)
     assert not (tmp_path / "runs").exists(), "an unfinished run would be left that nobody can go on with"
+
+
+def test_a_study_that_was_begun_without_requirements_goes_on_without(tmp_path: Path) -> None:
+    run = begun(tmp_path, trials=5)
+    assert resumed(run).settings.requirements["replans"] == 0.0
+    record = json.loads((run / "run.json").read_text())
+    del record["settings"]["requirements"]
+    (run / "run.json").write_text(json.dumps(record))
+    wish = resumed(run)
+    assert wish.settings.requirements == {} and wish.settings.as_data() == record["settings"]
+
+
+def test_the_limits_of_the_bench_file_are_settings_of_the_study(tmp_path: Path) -> None:
+    bench = write_bench(tmp_path, more="[require]\nlateral_error_peak_m = 0.3\nreplans = inf\n")
+    limits = make_tune_plan(TuneOptions(bench)).settings.requirements
+    assert limits["lateral_error_peak_m"] == 0.3 and "replans" not in limits and "steer_oscillation_rad" in limits
+
+
+@pytest.mark.parametrize(
+    ("more", "tune", "wide"),
+    [
+        ("", "", False),
+        ("[require]\n", "", True),
+        ("[require]\n", 'box = "paper"\n', False),
+        ("", 'box = "default"\n', True),
+    ],
+)
+def test_the_wider_box_needs_requirements_or_a_word(tmp_path: Path, more: str, tune: str, wide: bool) -> None:
+    file = write_bench(tmp_path, more=more)
+    file.write_text(file.read_text() + tune)
+    (low, *_) = [axis.low for axis in make_tune_plan(TuneOptions(file)).settings.space.axes if axis.name == "mrac.p"]
+    assert (low < 1e-5) is wide
+
+
+def test_a_search_begins_with_one_manual_set_or_with_all(tmp_path: Path) -> None:
+    file = write_bench(tmp_path)
+    one = make_tune_plan(TuneOptions(file)).settings
+    assert not one.starts and "starts" not in one.as_data()
+    file.write_text(file.read_text() + 'starts = "manual"\n')
+    every = make_tune_plan(TuneOptions(file)).settings
+    assert every.first == one.first and len(every.starts) >= 1 and every.first not in every.starts
+    assert every.as_data()["starts"] == [dict(start) for start in every.starts]
+
+
+def test_an_ensemble_is_driven_in_the_batch_alone(tmp_path: Path) -> None:
+    file = write_bench(tmp_path, more="[ensemble]\n")
+    with pytest.raises(InputError) as caught:
+        make_tune_plan(TuneOptions(file))
+    assert caught.value.key == "ensemble" and "--backend batch" in caught.value.hint
+    assert make_tune_plan(TuneOptions(file, backend="batch")).bench.spec.ensemble is not None

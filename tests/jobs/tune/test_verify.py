@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,12 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench import load, parameters_of
 from tunefree_hil.bench.parallel import Fleet
 from tunefree_hil.config.dump import to_toml
+from tunefree_hil.grade import score
 from tunefree_hil.grade.margins import NOMINAL, SWEEPS
 from tunefree_hil.jobs.options.records import VerifyOptions
-from tunefree_hil.jobs.run_folder import write_text
+from tunefree_hil.jobs.run_folder import RunFolder, write_text
 from tunefree_hil.jobs.tune import margins, verify
-from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors, read_winner
 
 FEW = {
     "friction": (NOMINAL._replace(friction=0.8), NOMINAL._replace(friction=0.6)),
@@ -92,6 +94,32 @@ def test_verify_prints_margins_and_keeps_them(run: Path, few: None) -> None:
     assert len(table) == 4 and ">= 10 ms" in table[2] + table[3]
     assert [Path(one).name for one in found["figures"]] == ["margins.png", "verify_tiny.png"]
     assert any(event.kind == "progress" and event.data["label"] == "margins" for event in events)
+    assert found["verdict"] in ("ACCEPTED", "NO GAIN") and found["sentence"].startswith(f"{found['verdict']}: ")
+    assert result.data["exit"] == (0 if found["verdict"] == "ACCEPTED" else 1)
+    best = tomllib.loads((run / "best.toml").read_text())
+    assert best["verdict"] == found["verdict"] and best["verification"]["roads"] == ["tiny"]
+
+
+@pytest.mark.slow
+def test_a_winner_that_violates_a_requirement_on_the_vehicle_is_rejected(run: Path, few: None) -> None:
+    """The run's bench file is as the search had it; drives of a second show steering and re-plans only."""
+    bench_file = run / "bench.toml"
+    bench_file.write_text(bench_file.read_text() + "\n[require]\nreplans = 0\n")
+    session = new_session()
+
+    def replanned(*arguments: Any) -> Any:
+        values = measure(*arguments)
+        return values | {"replans": 3.0}
+
+    measure = score.measure_requirements
+    with pytest.MonkeyPatch.context() as patch, no_orphans(session):
+        patch.setattr(score, "measure_requirements", replanned)
+        *_, result = ended(run, session)
+    assert result.data["exit"] == 1 and result.data["verdict"] == "REJECTED"
+    assert result.message.startswith("REJECTED: replans 3 > 0 on tiny; no manual set meets the requirements")
+    text = (run / "best.toml").read_text()
+    assert text.startswith("# REJECTED: replans 3 > 0 on tiny: do not paste")
+    assert read_winner(load(bench_file), RunFolder(run, {}))["mrac.p"] == pytest.approx(0.002)
 
 
 @pytest.mark.slow

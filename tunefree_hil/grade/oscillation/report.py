@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -140,7 +141,17 @@ _SIGNAL_TEXT = {
 
 def findings_as_data(report: OscillationReport) -> list[dict[str, Any]]:
     """Plain data of a report for JSON: one entry a finding."""
-    return [
-        {**finding._asdict(), "signal": finding.signal.value, "place": finding.place.value, "ratio": finding.ratio}
-        for finding in report.findings
-    ]
+    return [finding_as_data(finding) for finding in report.findings]
+
+
+def finding_as_data(finding: OscillationFinding) -> dict[str, Any]:
+    """Plain data of a finding for JSON."""
+    return {**finding._asdict(), "signal": finding.signal.value, "place": finding.place.value, "ratio": finding.ratio}
+
+
+def finding_from_data(data: Mapping[str, Any]) -> OscillationFinding:
+    """The inverse of `finding_as_data`."""
+    fields = {name: data[name] for name in OscillationFinding._fields}
+    return OscillationFinding(
+        **{**fields, "signal": OscillationSignal(data["signal"]), "place": DrivePlace(data["place"])}
+    )

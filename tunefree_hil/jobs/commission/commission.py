@@ -128,7 +128,8 @@ def _end_event(plan: CommissionPlan, record: CommissionRecord) -> Event:
     done = record.done
     minutes = sum(stage["seconds"] for stage in done.values()) / 60.0
     verified = done.get("verify", {}).get("result", {})
-    sentence = f"{len(done)} of {len(STAGES)} stages done in {minutes:.1f} min"
+    verdict = f"{verified['verdict']}: " if "verdict" in verified else ""
+    sentence = f"{verdict}{len(done)} of {len(STAGES)} stages done in {minutes:.1f} min"
     sentence += f"; on the vehicle, unseen scenarios: {verified['sentence']}" if verified else ""
     shortfall = find_shortfall(done)
     gap_command = make_gap_command(plan) if shortfall else ""

@@ -15,8 +15,9 @@ from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.bench import load
 from tunefree_hil.bench.load import whole_vehicle
 from tunefree_hil.config.dump import plain, to_toml
+from tunefree_hil.config.learned.steering_map_schema import STEERING_MAP_FILE
 from tunefree_hil.config.load import load_bench, load_model
-from tunefree_hil.config.schema import BenchSpec, VehicleSpec
+from tunefree_hil.config.schema import DATA_SHEET_STEERING, BenchSpec, VehicleSpec
 from tunefree_hil.jobs.collect.plan import require_area
 from tunefree_hil.jobs.command_text import changed_options, shell_command
 from tunefree_hil.jobs.commission.settings import tuning_hash, verify_hash
@@ -99,6 +100,9 @@ class CommissionPlan(NamedTuple):
             **data.get("controller", {}),
             "calibration": str((self.map / MAP_FILE).resolve()),
         }
+        steering_map = self.map / STEERING_MAP_FILE
+        if steering_map.is_file() and self.template.controller.steering_map != DATA_SHEET_STEERING:
+            data["controller"]["steering_map"] = str(steering_map.resolve())
         write_text(self.bench, to_toml(data))
         return self.bench
 

@@ -15,7 +15,18 @@ from tunefree_hil.jobs.run_folder import read_json
 
 RESULT_KEYS = frozenset(
     (
-        *("sentence", "figures", "holds", "scores", "outside", "margins", "minutes", "cells_full", "cells_wanted"),
+        *(
+            "sentence",
+            "figures",
+            "holds",
+            "verdict",
+            "scores",
+            "outside",
+            "margins",
+            "minutes",
+            "cells_full",
+            "cells_wanted",
+        ),
         *("simulated_s", "beyond_envelope_s", "missing", "run", "model", "map", "kind", "free_run"),
         *("reduction_percent", "pedals", "best", "manual", "ratio", "held"),
     )

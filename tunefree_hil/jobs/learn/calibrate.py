@@ -23,6 +23,7 @@ from tunefree_hil.jobs.learn.calibration import (
 from tunefree_hil.jobs.learn.logs import read_logs
 from tunefree_hil.jobs.learn.options import CalibrateOptions
 from tunefree_hil.jobs.learn.report_text import describe_channel, summarise_calibration
+from tunefree_hil.jobs.learn.steering import learn_steering_of_folder
 from tunefree_hil.learn.drives.drive import Drive, DriveSplit
 from tunefree_hil.learn.model_folder import require_new_folder
 
@@ -52,6 +53,7 @@ def calibrate(options: CalibrateOptions) -> Iterator[Event]:
     if not _is_interrupted(out, vehicle, drives, options.seed):
         require_new_folder(out)
         fit_and_split = yield from _fit_and_write(out, vehicle, drives, options.seed)
+    yield from learn_steering_of_folder(out, vehicle, drives)
     text = f"{out} is written; its calibration logs are analysed next, for a later `gap`"
     yield Event("note", text, {"resume": build_command(options)})
     if fit_and_split is not None:

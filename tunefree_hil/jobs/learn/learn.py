@@ -15,6 +15,7 @@ from tunefree_hil.jobs.gap.calibration_logs import analyse_calibration_logs, is_
 from tunefree_hil.jobs.learn import calibration
 from tunefree_hil.jobs.learn.logs import read_logs
 from tunefree_hil.jobs.learn.options import LearnOptions
+from tunefree_hil.jobs.learn.steering import copy_steering_map, learn_steering_of_folder
 from tunefree_hil.jobs.preconditions import require_model_of_vehicle, require_number
 from tunefree_hil.jobs.progress import relay_events
 from tunefree_hil.learn.drives.drive import Drive, DriveSplit
@@ -85,6 +86,7 @@ def learn(options: LearnOptions) -> Iterator[Event]:
     )
     card = make_card(record) | read_own_effects(Path(physics.folder), data.drives)
     write_learned_model(options.out, learned, card)
+    copy_steering_map(Path(physics.folder), options.out)
     yield from report_result(options)
 
 
@@ -149,6 +151,8 @@ def obtain_physics(
     if options.physics is None and not _is_calibrated_on(folder, drives, options.seed):
         require_new_folder(folder)
         yield from calibration.calibrate_into(folder, vehicle, drives, split, options.seed)
+    if options.physics is None:
+        yield from learn_steering_of_folder(folder, vehicle, drives)
     if options.physics is None and not is_analysed(folder):
         yield from analyse_calibration_logs(folder, vehicle, drives)
     yield Event("note", f"physics: {folder}")

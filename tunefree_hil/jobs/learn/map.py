@@ -1,4 +1,4 @@
-"""Learns the open-loop map of a vehicle from logs: `calibration.npz`, and two figures of it."""
+"""Learns the open-loop map of a vehicle from logs, and the steering map beside it, with figures of both."""
 
 from __future__ import annotations
 
@@ -16,6 +16,13 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.base.open_loop_map import MAP_FILE
 from tunefree_hil.jobs.learn.logs import read_logs
 from tunefree_hil.jobs.learn.options import MapOptions
+from tunefree_hil.jobs.learn.steering import (
+    is_model,
+    learn_steering_of_logs,
+    map_model,
+    result_of,
+    steering_target,
+)
 from tunefree_hil.jobs.preconditions import require_model_of_vehicle
 from tunefree_hil.jobs.progress import count_data, relay_events
 from tunefree_hil.learn.drives.drive import Drive
@@ -39,8 +46,12 @@ SCHEMA = "tunefree.map/1"
 
 
 def map_logs(options: MapOptions) -> Iterator[Event]:
-    """Read the logs, train the nets, and write the map."""
+    """Read the logs, train the nets, and write the map and the steering map; of a model only the steering map."""
     from tunefree_hil.config.load import load_vehicle
+
+    if is_model(options.logs):
+        yield from map_model(options)
+        return
     from tunefree_hil.learn.training.map_nets import import_torch
 
     import_torch()  # raises before an hour of logs is read
@@ -61,9 +72,11 @@ def map_logs(options: MapOptions) -> Iterator[Event]:
     data |= {"replaced_mps2": _replaced_map_error(target, learned)}
     write_table(target, learned.table, json.dumps(data))
     figures = draw_figures(learned, gathered, target)
+    steering_file = steering_target(target)
+    steering = yield from learn_steering_of_logs(drives, vehicle, steering_file, steering_file.with_suffix(".png"))
     if not (target.name == MAP_FILE and (target.parent / "model.toml").is_file()):
         yield Event("note", f'to use it in a bench file: [controller] calibration = "{target}"')
-    yield Event("result", "", data | _summarise_result(data, target, figures))
+    yield Event("result", "", result_of(data | _summarise_result(data, target, figures), steering))
 
 
 def resolve_target(out: Path, vehicle: VehicleSpec) -> Path:

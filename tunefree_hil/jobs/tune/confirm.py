@@ -9,14 +9,18 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, parameters_of
+from tunefree_hil.grade.requirements.judgement import measure_violation
 from tunefree_hil.jobs.progress import count_data
 from tunefree_hil.jobs.tune.evaluators import BusEvaluator, VectorCandidate
 from tunefree_hil.jobs.tune.margins import Vectors
 from tunefree_hil.jobs.tune.robustness import RobustnessResult
+from tunefree_hil.tune.ensemble import has_ensemble, nominal_drives, nominal_score, with_drives_over_bus
 from tunefree_hil.tune.journal import Journal, slot_key
 from tunefree_hil.tune.trial import Baseline, Trial, find_best_trial
 
 MAX_NAMED_DIFFERENCES = 3  # in one line
+# The batch has no frames; trials of an earlier version have neither requirements nor oscillation.
+OPTIONAL_KEYS = ("frame_hash", "requirements", "oscillation")
 
 
 class ConfirmedScore(NamedTuple):
@@ -60,13 +64,13 @@ class ConfirmedStudy:
         return [confirmed for trial in self._journal.trials() if (confirmed := self._confirmed(trial)) is not None]
 
     def best(self) -> Trial | None:
-        """The confirmed trial with the lowest score over the bus, the earliest of equals."""
+        """The best of the confirmed trials (`find_best_trial`) over the bus."""
         return find_best_trial(self.confirmed_trials())
 
     def baselines(self) -> dict[str, Baseline]:
         """The baselines with their scores over the bus."""
         return {
-            name: Baseline(baseline.parameters, self._over_bus[name].score, self._over_bus[name].scenarios)
+            name: baseline._replace(**self._values_over_bus(name, baseline))
             for name, baseline in self._journal.baselines().items()
             if name in self._over_bus
         }
@@ -76,27 +80,45 @@ class ConfirmedStudy:
         batch: dict[str, Trial | Baseline] = {slot_key(trial.slot): trial for trial in self._journal.trials()}
         batch |= self._journal.baselines()
         return {
-            key: ConfirmedScore(batch[key].score, bus.score, find_differences(batch[key].scenarios, bus.scenarios))
+            key: ConfirmedScore(
+                nominal_score(batch[key].score, batch[key].scenarios),
+                bus.score,
+                find_differences(nominal_drives(batch[key].scenarios), bus.scenarios),
+            )
             for key, bus in self._over_bus.items()
         }
 
     def _confirmed(self, trial: Trial) -> Trial | None:
-        bus = self._over_bus.get(slot_key(trial.slot))
-        return trial._replace(score=bus.score, scenarios=bus.scenarios) if bus else None
+        key = slot_key(trial.slot)
+        return trial._replace(**self._values_over_bus(key, trial)) if key in self._over_bus else None
+
+    def _values_over_bus(self, key: str, batch: Trial | Baseline) -> dict[str, Any]:
+        """Score, scenarios and violation of a candidate. Only the batch drives the other cars of an ensemble."""
+        bus = self._over_bus[key]
+        if has_ensemble(batch.scenarios):
+            scenarios = with_drives_over_bus(batch.scenarios, bus.scenarios)
+            return {"scenarios": scenarios, "violation": measure_violation(scenarios, self.settings.requirements)}
+        violation = measure_violation(bus.scenarios, self.settings.requirements)
+        return {"score": bus.score, "scenarios": bus.scenarios, "violation": violation}
 
 
 def find_differences(batch: Mapping[str, Any], bus: Mapping[str, Any]) -> tuple[str, ...]:
-    """'scenario: key' of all grades that differ; frame hashes are compared only where both have one."""
+    """'scenario: key' of all grades that differ; OPTIONAL_KEYS are compared only where both have them."""
     different = []
     for name in {**batch, **bus}:
-        first, second = _flat(batch.get(name, {})), _flat(bus.get(name, {}))
-        keys = [key for key in {**first, **second} if key != "frame_hash" or (key in first and key in second)]
-        different += [f"{name}: {key}" for key in keys if first.get(key, "none") != second.get(key, "none")]
+        drives = batch.get(name, {}), bus.get(name, {})
+        skipped = [key for key in OPTIONAL_KEYS if any(key not in drive for drive in drives)]
+        first, second = (_flat({key: drive[key] for key in drive if key not in skipped}) for drive in drives)
+        keys = [key for key in {**first, **second} if first.get(key, "none") != second.get(key, "none")]
+        different += [f"{name}: {key}" for key in keys]
     return tuple(different)
 
 
 def _flat(drive: Mapping[str, Any]) -> dict[str, Any]:
-    return {**{key: value for key, value in drive.items() if key != "metrics"}, **drive.get("metrics", {})}
+    """Metrics and requirements beside the other keys."""
+    flat = {key: value for key, value in drive.items() if key not in ("metrics", "requirements")}
+    required = {f"require {name}": value for name, value in drive.get("requirements", {}).items()}
+    return {**flat, **drive.get("metrics", {}), **required}
 
 
 def find_unconfirmed(journal: Journal, best: int, robustness: RobustnessResult) -> dict[str, Trial | None]:

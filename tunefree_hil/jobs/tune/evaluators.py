@@ -181,9 +181,15 @@ class BatchEvaluator:
         scenarios: dict[str, Any] = {}
         grades: list[ScenarioGrade] = []
         for scenario, drive in zip(self.scenarios, drives, strict=True):
-            if drive.error not in GRADED_ENDS or drive.grade is None:
-                code = ErrorCode[drive.error.upper()]
-                raise BenchError(f"{scenario.name}: {code.sentence} (tick {drive.ticks})", code=drive.error)
-            grades.append(drive.grade)
-            scenarios[scenario.name] = drive.grade.as_data() | ({"frame_hash": drive.hash} if drive.hash else {})
+            grade = grade_of(drive, scenario)
+            grades.append(grade)
+            scenarios[scenario.name] = grade.as_data() | ({"frame_hash": drive.hash} if drive.hash else {})
         return Evaluation(combine_scores(grades), scenarios)
+
+
+def grade_of(drive: Driven, scenario: ScenarioSpec) -> ScenarioGrade:
+    """The grade of a drive. Raises BenchError where the bench failed, and not the candidate."""
+    if drive.error not in GRADED_ENDS or drive.grade is None:
+        code = ErrorCode[drive.error.upper()]
+        raise BenchError(f"{scenario.name}: {code.sentence} (tick {drive.ticks})", code=drive.error)
+    return drive.grade

@@ -10,11 +10,14 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch, Job
 from tunefree_hil.grade.difference import ScoreDifference, score_difference
+from tunefree_hil.grade.requirements.judgement import judge_drives
 from tunefree_hil.grade.score import combine_scores
 from tunefree_hil.jobs.options.records import ExplainOptions
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder, open_run, write_json
-from tunefree_hil.jobs.tune.candidates import parameter_unit, read_best
+from tunefree_hil.jobs.tune.candidates import TUNED, parameter_unit
 from tunefree_hil.jobs.tune.margins import find_batch_obstacle
+from tunefree_hil.jobs.tune.verdict.best_file import read_best
+from tunefree_hil.jobs.tune.verdict.text import requirement_table
 from tunefree_hil.tune.compare import find_best_baseline
 from tunefree_hil.tune.insight import (
     Edge,
@@ -37,7 +40,10 @@ MIN_GAIN_SHARE = 0.005  # of the winner's score: smallest gain of a better point
 
 
 class StudyAnalysis(NamedTuple):
-    """Analysis of the study of a run, without further drives. manual: the best baseline."""
+    """Analysis of the study of a run, without further drives. manual: the best baseline.
+
+    judged: `RequirementJudgement.as_data` of winner and manual set, by the requirements of the study.
+    """
 
     space: Space
     winner: Trial
@@ -46,6 +52,7 @@ class StudyAnalysis(NamedTuple):
     difference: ScoreDifference
     importance: dict[str, Importance]
     edges: list[str]
+    judged: Mapping[str, Mapping[str, Any]]
 
 
 class SliceScores(NamedTuple):
@@ -120,6 +127,7 @@ def analyse_study(folder: RunFolder, bench: Bench) -> StudyAnalysis:
         raise InputError("has no study.db", code="no_study", file=str(folder.path), hint=hint)
     with read_study(path) as study:
         trials, baselines, space = study.trials(), study.baselines(), study.settings.space
+        limits = study.settings.requirements
     winner = next((trial for trial in trials if trial.slot == slot), None)
     if winner is None:
         raise InputError(f"has no trial of slot {slot}, which best.toml names", code="no_winner", file=str(path))
@@ -133,6 +141,10 @@ def analyse_study(folder: RunFolder, bench: Bench) -> StudyAnalysis:
         difference=score_difference(manual.scenarios, winner.scenarios, bench.weights),
         importance=compute_importance(space, trials),
         edges=describe_edges(space, winner.parameters),
+        judged={
+            label: judge_drives(drives, limits).as_data()
+            for label, drives in ((TUNED, winner.scenarios), (name, manual.scenarios))
+        },
     )
 
 
@@ -237,7 +249,7 @@ def format_analysis(analysis: StudyAnalysis) -> list[str]:
         share = "too few trials" if importance.share is None else f"{100.0 * importance.share:5.1f} %"
         lines.append(f"  {name:<28}{share:>9}  rank correlation {importance.rank:+.2f}")
     lines += analysis.edges or ["no value of the winner is on an edge of its range"]
-    return lines
+    return lines + requirement_table(analysis.judged)
 
 
 def summarise_analysis(analysis: StudyAnalysis) -> str:
@@ -269,6 +281,7 @@ def _data(analysis: StudyAnalysis, slices: Mapping[str, SliceScores]) -> dict[st
         "difference": analysis.difference._asdict(),
         "importance": {name: importance._asdict() for name, importance in analysis.importance.items()},
         "edges": analysis.edges,
+        "requirements": {label: dict(judged) for label, judged in analysis.judged.items()},
         "slices": {name: slice_scores._asdict() for name, slice_scores in slices.items()},
     }
 

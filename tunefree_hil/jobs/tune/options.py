@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.bench import Bench, load, own_parameters, parameters_of, require_buildable
+from tunefree_hil.bench import Bench, load, parameters_of, require_buildable
+from tunefree_hil.control.parameters import BoxChoice
+from tunefree_hil.grade.requirements.limits import RequirementLimits, requirement_limits
 from tunefree_hil.jobs.command_text import changed_options, shell_command
 from tunefree_hil.jobs.drive import new_session_name
 from tunefree_hil.jobs.identity import compute_identity
@@ -16,11 +18,11 @@ from tunefree_hil.jobs.run_folder import open_run
 from tunefree_hil.jobs.running.foreign import require_foreign_controller, with_controller_command
 from tunefree_hil.jobs.running.node_links import resolve_vehicle_bus
 from tunefree_hil.jobs.running.session import choose_lane_count
-from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors, select_first_vector
-from tunefree_hil.tune.baselines import make_first_trial
+from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors, has_foreign_controller, select_first_vector
+from tunefree_hil.tune.baselines import list_further_starts, make_first_trial
 from tunefree_hil.tune.shared.server import parse_address
 from tunefree_hil.tune.space import Space, resolve_space
-from tunefree_hil.tune.store import StudySettings, check_settings
+from tunefree_hil.tune.store import REQUIREMENTS, StudySettings, check_settings
 
 OPTIONS = "options"  # key of run.json
 BATCH_IN_FLIGHT = 8  # does not make the result worse (docs/reference/design.md)
@@ -91,6 +93,7 @@ def make_tune_plan(options: TuneOptions) -> TunePlan:
     address = parse_address(options.study) if options.study else None
     bench = with_controller_command(load(bench_file), options.controller)
     _require_slower(bench)
+    _require_batch_for_ensemble(bench, options)
     space = _space(bench, options)
     _require_buildable(bench, options, space)
     session = options.session or new_session_name()
@@ -99,14 +102,7 @@ def make_tune_plan(options: TuneOptions) -> TunePlan:
     require_foreign_controller(bench, space.names, join=options.join)
     identity = compute_identity(bench, bench.spec.model, [bench.scenarios[name] for name in bench.spec.scenarios])
     benches = _benches(options)
-    settings = StudySettings(
-        space=space,
-        seed=bench.spec.seed if options.seed is None else options.seed,
-        sampler=options.sampler or bench.spec.tune.sampler,
-        bench_hash=identity["identity"],
-        first=make_first_trial(space, select_first_vector(vectors)),
-        in_flight=_in_flight(bench, options, benches),
-    )
+    settings = _study_settings(bench, options, space, vectors, identity["identity"])
     check_settings(settings)  # before there is a run folder, which could not be resumed
     study_address = f"{address.public}#{address.name}" if address else ""
     return TunePlan(
@@ -121,6 +117,22 @@ def make_tune_plan(options: TuneOptions) -> TunePlan:
         session=session,
         study_address=study_address,
         command=format_command(options._replace(bench=bench_file), study_address),
+    )
+
+
+def _study_settings(
+    bench: Bench, options: TuneOptions, space: Space, vectors: Mapping[str, Mapping[str, float]], identity: str
+) -> StudySettings:
+    first = make_first_trial(space, select_first_vector(vectors))
+    return StudySettings(
+        space=space,
+        seed=bench.spec.seed if options.seed is None else options.seed,
+        sampler=options.sampler or bench.spec.tune.sampler,
+        bench_hash=identity,
+        first=first,
+        in_flight=_in_flight(bench, options, _benches(options)),
+        requirements=_requirements(bench, options),
+        starts=list_further_starts(space, vectors, first) if bench.spec.tune.starts == "manual" else (),
     )
 
 
@@ -170,7 +182,14 @@ def _space(bench: Bench, options: TuneOptions) -> Space:
     tune = bench.spec.tune
     specs = [] if options.set_name else tune.parameters
     name = options.set_name or ("" if specs else tune.set)
-    return resolve_space(name, specs, scale="" if options.scale == "log" else options.scale or "", file=bench.file)
+    scale = "" if options.scale == "log" else options.scale or ""
+    return resolve_space(name, specs, scale=scale, box=choose_box(bench), file=bench.file)
+
+
+def choose_box(bench: Bench) -> BoxChoice:
+    """The box of the bench file; without a choice the wider one where its requirements hold it in check."""
+    without_choice = BoxChoice.DEFAULT if bench.spec.require is not None else BoxChoice.PAPER
+    return BoxChoice(bench.spec.tune.box or without_choice)
 
 
 def _require_compatible(options: TuneOptions) -> None:
@@ -214,6 +233,19 @@ def _in_flight(bench: Bench, options: TuneOptions, benches: int) -> int:
     return in_flight or -(-benches // len(bench.spec.scenarios))
 
 
+def _requirements(bench: Bench, options: TuneOptions) -> RequirementLimits:
+    """Limits that the search keeps; none in a resumed study that was started without, by an earlier version."""
+    if options.resume is not None and REQUIREMENTS not in _read_tune_record(options.resume).get("settings", {}):
+        return {}
+    return requirement_limits(bench.vehicle.limits, bench.spec.require)
+
+
+def _require_batch_for_ensemble(bench: Bench, options: TuneOptions) -> None:
+    if bench.spec.ensemble is not None and options.backend != BATCH:
+        message, hint = "only the batch drives an ensemble of cars", "add --backend batch, or leave out [ensemble]"
+        raise InputError(message, code="usage", file=bench.file, key="ensemble", hint=hint)
+
+
 def _require_slower(bench: Bench) -> None:
     slower = bench.spec.tune.slower
     if not 1.0 <= slower <= MAX_SLOWER_FACTOR:
@@ -228,7 +260,7 @@ def _require_buildable(bench: Bench, options: TuneOptions, space: Space) -> None
     MRAC is on in the check where it is tuned, or where baselines are driven, since some of them have it on.
     """
     values, spec = parameters_of(bench), bench.spec
-    if not own_parameters(bench) or any(name.startswith("mrac.") for name in space.names):
+    if not has_foreign_controller(bench) or any(name.startswith("mrac.") for name in space.names):
         values["mrac.enable"] = 1.0
     scenarios = [bench.scenarios[name] for name in spec.scenarios]
     require_buildable(bench, spec.model, scenarios, values, realtime=options.realtime)

@@ -8,14 +8,16 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import TunefreeError
 from tunefree_hil.bench import Bench, parameters_of
-from tunefree_hil.config.dump import to_toml
 from tunefree_hil.episode.recording import Recording, load_recording
+from tunefree_hil.grade.requirements.verdict import DecidedGains, decide_verdict, judge_gains
 from tunefree_hil.jobs.learn.report_text import describe_outside, measure_outside
 from tunefree_hil.jobs.report_text import GradesByScenario, candidate_table, comparison_text
-from tunefree_hil.jobs.run_folder import RunFolder, write_text
-from tunefree_hil.jobs.tune.candidates import TUNED, compute_baseline_vectors, parameter_unit
+from tunefree_hil.jobs.run_folder import RunFolder
+from tunefree_hil.jobs.tune.candidates import TUNED, compute_baseline_vectors, parameter_unit, road_seed
 from tunefree_hil.jobs.tune.confirm import ConfirmedStudy
 from tunefree_hil.jobs.tune.robustness import RobustnessResult, robustness_data, robustness_table, robustness_text
+from tunefree_hil.jobs.tune.verdict.best_file import PARAMETERS, DrivenOn, write_best
+from tunefree_hil.jobs.tune.verdict.text import requirement_table, road_oscillation_text
 from tunefree_hil.tune.compare import BestBaseline, find_best_baseline
 from tunefree_hil.tune.insight import Edge, find_edge
 from tunefree_hil.tune.journal import slot_key
@@ -25,11 +27,12 @@ EXIT_DIFFERENT = 1  # exit status
 
 
 class TuneReport(NamedTuple):
-    """A report as lines, as one sentence, and as data."""
+    """A report as lines, as one sentence without the verdict, and as data. decided: On the searched roads."""
 
     lines: list[str]
     sentence: str
     data: dict[str, Any]
+    decided: DecidedGains
 
 
 def write_tune_report(
@@ -52,7 +55,8 @@ def write_tune_report(
     if not trials:
         raise TunefreeError("the study has no trial", hint="--trials 1 or more")
     winner, manual = robustness.rank_trials(trials)[0], find_best_baseline(study.baselines())
-    write_text(run.path / "best.toml", _best_toml(bench, winner, manual))
+    decided = _decide(study, winner)
+    _write_best(bench, run, winner, manual, decided)
     data = {
         "over": "bus",
         "best": {"slot": winner.slot, "score": winner.score, "parameters": winner.parameters},
@@ -63,15 +67,24 @@ def write_tune_report(
         "on_edge": find_winner_edges(study, winner),
         "outside": measure_outside(bench, bench.spec.model, _winning_drives(bench, run, winner.slot)),
         "figures": _write_figures(bench, run, study, winner, manual.name),
+        **decided.as_data(),
     }
-    report = TuneReport(_lines(study, winner, data), _sentence(study, winner, manual, data), data)
+    report = TuneReport(_lines(study, winner, data), _sentence(study, winner, manual, data), data, decided)
     return report if confirmed is None else _add_confirmation(report, confirmed, winner)
+
+
+def _decide(study: ScoredStudy, winner: Trial) -> DecidedGains:
+    """The verdict of the searched roads, by the requirements of the study."""
+    limits = study.settings.requirements
+    manuals = {name: judge_gains(base.score, base.scenarios, limits) for name, base in study.baselines().items()}
+    return decide_verdict(judge_gains(winner.score, winner.scenarios, limits), manuals)
 
 
 def _lines(study: ScoredStudy, winner: Trial, data: Mapping[str, Any]) -> list[str]:
     """Tables of winner and baselines and of the robustness check, and values on an edge of the range."""
     rows: dict[str, GradesByScenario] = {name: baseline.scenarios for name, baseline in study.baselines().items()}
     lines = candidate_table({TUNED: winner.scenarios, **rows}, {TUNED: winner.score, **data["baselines"]})
+    lines += requirement_table({TUNED: data["requirements"], **data["manual_requirements"]})
     lines += robustness_table(data["held"])
     edges = data["on_edge"]
     return lines + ([f"the winner is on an edge of its range: {', '.join(edges)}"] if edges else [])
@@ -81,7 +94,8 @@ def _sentence(study: ScoredStudy, winner: Trial, manual: BestBaseline, data: Map
     values = ", ".join(f"{name} = {value:.4g}" for name, value in winner.parameters.items())
     grades = study.baselines()[manual.name].scenarios
     compared = comparison_text(manual.name, grades, winner.scenarios, (manual.score, winner.score))
-    parts = (compared, robustness_text(data["held"]), describe_outside(data["outside"]))
+    swing = road_oscillation_text(winner.scenarios)
+    parts = (compared, swing, robustness_text(data["held"]), describe_outside(data["outside"]))
     return f"{values}: {'; '.join(part for part in parts if part)}"
 
 
@@ -110,10 +124,11 @@ def _add_confirmation(report: TuneReport, confirmed: ConfirmedStudy, winner: Tri
         "different": different,
         "exit": EXIT_DIFFERENT if different else 0,
     }
-    return TuneReport([*report.lines, *lines], sentence, data)
+    return TuneReport([*report.lines, *lines], sentence, data, report.decided)
 
 
-def _best_toml(bench: Bench, winner: Trial, manual: BestBaseline) -> str:
+def _write_best(bench: Bench, run: RunFolder, winner: Trial, manual: BestBaseline, decided: DecidedGains) -> None:
+    """best.toml before a verification."""
     data = {
         "schema": "tunefree.best/1",
         "bench": bench.file,
@@ -123,12 +138,11 @@ def _best_toml(bench: Bench, winner: Trial, manual: BestBaseline) -> str:
         "manual": manual.name,
         "manual_score": manual.score,
         "tuned": winner.parameters,
-        "parameters": parameters_of(bench, winner.parameters),
+        PARAMETERS: parameters_of(bench, winner.parameters),
     }
-    return (
-        "# The winner of a study. [parameters] is complete: paste it into [controller.parameters] of a bench file.\n"
-        + to_toml(data)
-    )
+    driven = DrivenOn(bench.spec.model, list(winner.scenarios), road_seed(bench), is_verified=False)
+    vectors = compute_baseline_vectors(bench)
+    write_best(run, data, decided, driven, vectors, road_oscillation_text(winner.scenarios))
 
 
 def find_winner_edges(study: ScoredStudy, winner: Trial) -> list[str]:

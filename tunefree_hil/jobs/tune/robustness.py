@@ -24,6 +24,7 @@ from tunefree_hil.jobs.identity import data_sha256
 from tunefree_hil.jobs.progress import count_data
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder, read_json, write_json
 from tunefree_hil.jobs.tune.margins import MIN_DRIVES_PER_CALL, JobDriver, find_batch_obstacle
+from tunefree_hil.tune.ensemble import HeldOutScore, rank_by_held_out
 from tunefree_hil.tune.journal import slot_key
 from tunefree_hil.tune.robust_winner import (
     DriveTotals,
@@ -48,15 +49,17 @@ class RobustnessResult(NamedTuple):
     factor: On dead times and lags; 1 where nothing was checked.
     totals: In the slower car, by `slot_key` of a trial and by the name of a baseline.
     reason: Why the slower car could not be driven, '' where it was; the winner is then the best score alone.
+    held_out: Of near-equal trials, by `slot_key`: what chooses among them (jobs/tune/ensemble/selection.py).
     """
 
     factor: float = 1.0
     totals: Mapping[str, DriveTotals] = {}
     reason: str = ""
+    held_out: Mapping[str, HeldOutScore] = {}
 
     def rank_trials(self, trials: Sequence[Trial]) -> list[Trial]:
         """Sort the trials, the winner first."""
-        return rank_trials(trials, self.totals)
+        return rank_by_held_out(rank_trials(trials, self.totals), self.held_out)
 
     def as_data(self) -> dict[str, Any]:
         """JSON data, with the keys "factor", "came" (totals) and "reason"."""

@@ -10,6 +10,7 @@ from typing import Any
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import parameters_of
+from tunefree_hil.grade.requirements.limits import CRITERIA
 from tunefree_hil.jobs.run_folder import RunFolder, delete_logs
 from tunefree_hil.jobs.tune.evaluators import Evaluator, Medium, VectorCandidate
 from tunefree_hil.jobs.tune.options import TunePlan
@@ -111,7 +112,7 @@ class TrialSearch:
         size = max(1, self.study.settings.in_flight)
         if (trial.slot + 1) % size == 0 or trial.slot + 1 == self.total:  # one line for a generation
             values = ", ".join(f"{name} {value:.4g}" for name, value in trial.parameters.items())
-            yield self._progress(f"{trial.score:.3f} at {values}", "trial", done, self.total)
+            yield self._progress(f"{trial.score:.3f}{_beyond_text(trial)} at {values}", "trial", done, self.total)
 
     def _delete_old_logs(self, slot: int) -> None:
         """Delete the logs of this slot, or those of the former best trial where this slot is the best now."""
@@ -140,11 +141,23 @@ class TrialSearch:
         data |= self.evaluator.pace
         if data.get("discarded"):
             message += f"; drives not in real time, repeated so far: {data['discarded']:.0f}"
+        if "saved_drives" in data:
+            message += f"; {data['drives']:.0f} drives, {data['saved_drives']:.0f} saved by racing"
         if best is not None:
             data["best"] = best.score
+            data |= {"violation": best.violation} if best.violation else {}
         if manual:
             data["manual"] = find_best_baseline(manual).score
         return Event("progress", message, data)
+
+
+def _beyond_text(trial: Trial) -> str:
+    """By how much a trial violates the requirements; '' where it meets them."""
+    if not trial.violation:
+        return ""
+    if trial.violation >= CRITERIA.failed_violation:
+        return " (a drive failed)"
+    return f" (requirements violated by {100.0 * trial.violation:.0f} %)"
 
 
 def episode_numbers(group: int, scenarios: int) -> range:

@@ -7,15 +7,16 @@ whose best trials are confirmed over the bus. Two places of the study: the run f
 from __future__ import annotations
 
 import zlib
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.events import Event
-from tunefree_hil.bench import model_of, parameters_of
+from tunefree_hil.bench import Bench, model_of, parameters_of
 from tunefree_hil.bench.batch import Batch
+from tunefree_hil.grade.requirements.verdict import GainsVerdict
 from tunefree_hil.jobs.command_text import shell_command
 from tunefree_hil.jobs.learn.report_text import describe_model
 from tunefree_hil.jobs.options.records import TuneOptions, VerifyOptions
@@ -24,14 +25,19 @@ from tunefree_hil.jobs.running.foreign import joined_controller_name, make_launc
 from tunefree_hil.jobs.running.session import open_lanes
 from tunefree_hil.jobs.running.trial_driver import TrialDriver
 from tunefree_hil.jobs.tune.confirm import ConfirmedStudy, confirm_over_bus, find_unconfirmed
-from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, BusEvaluator, RealtimeDriver, VectorCandidate
+from tunefree_hil.jobs.tune.ensemble.cars import EnsembleCars
+from tunefree_hil.jobs.tune.ensemble.evaluator import EnsembleEvaluator, ensemble_data, open_batch
+from tunefree_hil.jobs.tune.ensemble.selection import select_on_held_out, selection_text
+from tunefree_hil.jobs.tune.evaluators import BatchEvaluator, BusEvaluator, Evaluator, RealtimeDriver, VectorCandidate
 from tunefree_hil.jobs.tune.folder import open_run_folder
 from tunefree_hil.jobs.tune.options import BATCH, TunePlan, make_tune_plan
 from tunefree_hil.jobs.tune.report import has_recordings, write_tune_report
 from tunefree_hil.jobs.tune.robustness import RobustnessResult, check_robustness, hash_trials, robustness_from_data
 from tunefree_hil.jobs.tune.search import TrialSearch
+from tunefree_hil.jobs.tune.verdict.text import infeasible_text, verdict_reason
 from tunefree_hil.jobs.tune.verify import verify_winner
-from tunefree_hil.tune.journal import open_journal, slot_key
+from tunefree_hil.roads.coverage import RoadBeyond, envelope, outside, outside_text
+from tunefree_hil.tune.journal import Journal, open_journal, slot_key
 from tunefree_hil.tune.shared.finalisation import WORKER, Finalisation
 from tunefree_hil.tune.shared.shared_study import SharedStudy, join_study
 from tunefree_hil.tune.shared.study_copy import copy_study
@@ -39,6 +45,8 @@ from tunefree_hil.tune.study import open_study
 from tunefree_hil.tune.trial import ScoredStudy, Trial
 
 JOURNAL = "trials.jsonl"
+MAX_NAMED_ROADS = 3  # outside the searched envelope, in one warning
+EXIT_REJECTED = 1  # exit status
 ROBUSTNESS, VERIFIED = "held", "verified"  # keys of the parts of a finalisation
 
 
@@ -63,7 +71,8 @@ class TuneOutcome(NamedTuple):
 def tune(options: TuneOptions) -> Iterator[Event]:
     """Run baselines and trials on the model of the bench file, and choose, report and verify the winner.
 
-    Exit status 1 where batch and bus differ, 4 where the machine is too slow for real time.
+    Exit status 1 where batch and bus differ or the verification rejects the winner, 4 where the machine is too slow
+    for real time.
     """
     plan = make_tune_plan(options)
     with open_run_folder(plan) as (run, is_resumed):
@@ -73,31 +82,66 @@ def tune(options: TuneOptions) -> Iterator[Event]:
         if plan.study_address:
             text = f"study: {plan.study_address}; the score of a trial is reproducible, the sequence of trials is not"
             yield Event("note", text)
+        uncovered = find_uncovered_roads(plan.bench) if _is_verified(plan) else []
+        yield from _warn_uncovered(uncovered)
         with ExitStack() as stack:
             if plan.options.study:
                 run_search = _tune_shared
             else:
                 run_search = _tune_in_batch if plan.options.backend == BATCH else _tune_over_bus
             outcome = yield from run_search(plan, run, stack)
-            yield from _finish(plan, run, outcome)
+            yield from _finish(plan, run, outcome, uncovered)
 
 
-def _finish(plan: TunePlan, run: RunFolder, outcome: TuneOutcome) -> Iterator[Event]:
+def _finish(
+    plan: TunePlan, run: RunFolder, outcome: TuneOutcome, uncovered: Sequence[RoadBeyond] = ()
+) -> Iterator[Event]:
     """Report, verify, and mark the run as complete."""
     report = write_tune_report(plan.bench, run, outcome.study, outcome.robustness, outcome.confirmed)
     yield from (Event("note", line) for line in report.lines)
     data, sentence = dict(report.data), report.sentence
+    if plan.bench.spec.ensemble is not None:
+        data["ensemble"] = ensemble_data(plan.bench, outcome.study, outcome.robustness.held_out)
+        text = selection_text(outcome.robustness.held_out, plan.bench.spec.ensemble)
+        sentence = "; ".join(part for part in (sentence, text) if part)
     if plan.options.realtime:
         data["discarded"] = run.record.get("discarded", 0)
         sentence += f"; drives not in real time, discarded and repeated: {data['discarded']}"
+    infeasible = infeasible_text(report.decided, len(outcome.study.trials()))
+    sentence = f"{infeasible}; {sentence}" if infeasible else sentence
     if _is_verified(plan) and outcome.is_verifier:
-        data["verify"] = yield from _verify(plan, run, outcome.finalisation)
-        sentence += f". On {plan.bench.spec.verify_model}, unseen scenarios: {data['verify']['sentence']}"
-    elif plan.options.verify and _joined_other_model(plan):
+        verified = data["verify"] = yield from _verify(plan, run, outcome.finalisation)
+        data["verdict"] = verified["verdict"]
+        is_rejected = GainsVerdict(verified["verdict"]) is GainsVerdict.REJECTED
+        data["exit"] = max(data.get("exit", 0), EXIT_REJECTED if is_rejected else 0)
+        sentence = f"{data['verdict']}: {verified['reason']}. Searched: {sentence}. "
+        sentence += f"On {plan.bench.spec.verify_model}, unseen scenarios: {verified['summary']}"
+    else:
+        reason = verdict_reason(report.decided)
+        sentence = f"{data['verdict']} on the searched roads, not verified: {reason}; {sentence}"
+    if plan.options.verify and _joined_other_model(plan):
         yield Event("warning", _not_verified_text(plan, run))
+    data["outside_envelope"] = [{**road._asdict(), "quantity": road.quantity.value} for road in uncovered]
     run.finish(result={"sentence": sentence})
     data["next"] = _next_commands(plan, run)
     yield Event("result", sentence, {"sentence": sentence, "run": str(run.path), **data})
+
+
+def find_uncovered_roads(bench: Bench) -> list[RoadBeyond]:
+    """The roads to be verified that ask for more than the searched ones."""
+    courses = {
+        kind: {bench.scenarios[name].name: bench.course(bench.scenarios[name]) for name in names}
+        for kind, names in (("search", bench.spec.scenarios), ("verify", bench.spec.verify_scenarios))
+    }
+    return outside(envelope(courses["search"].values()), courses["verify"])
+
+
+def _warn_uncovered(uncovered: Sequence[RoadBeyond]) -> Iterator[Event]:
+    """One warning that names the first roads."""
+    if uncovered:
+        named, more = [outside_text(road) for road in uncovered[:MAX_NAMED_ROADS]], len(uncovered) - MAX_NAMED_ROADS
+        named += [f"and {more} more"] if more > 0 else []
+        yield Event("warning", f"{'; '.join(named)}. What is not searched is not known to hold")
 
 
 def _is_verified(plan: TunePlan) -> bool:
@@ -213,20 +257,22 @@ def _as_warnings(messages: Iterator[str]) -> Iterator[Event]:
 def _tune_in_batch(plan: TunePlan, run: RunFolder, stack: ExitStack) -> Generator[Event, None, TuneOutcome]:
     """The study is in trials.jsonl; the trials that may win and the baselines are confirmed over the bus."""
     journal = open_journal(run.path / JOURNAL, plan.settings)
-    scenarios = [plan.bench.scenarios[name] for name in plan.bench.spec.scenarios]
     if len(journal.baselines()) < len(plan.vectors) or len(journal.trials()) < plan.trials:
-        with Batch(plan.bench) as batch:
+        with open_batch(plan.bench) as (batch, cars):
             text = f"batch: {plan.settings.in_flight} trials in flight; a new bench is compiled first"
             n_confirmed = min(plan.confirm, plan.trials)
             text += f". Afterwards the {n_confirmed} best trials and the baselines are driven over the bus"
             yield Event("note", text)
-            evaluator = BatchEvaluator(batch, plan.bench, scenarios, batch_size=max(len(plan.vectors), 1))
+            evaluator = _make_batch_evaluator(plan, batch, cars, journal)
             search = TrialSearch(plan, run, evaluator, journal)
             yield from search.score_baselines()
             yield from search.run_trials()
             robustness = yield from check_robustness(plan.bench, run, journal, plan.vectors, batch)
     else:
         robustness = yield from check_robustness(plan.bench, run, journal, plan.vectors)
+    ranked = robustness.rank_trials(journal.trials())
+    held_out = yield from select_on_held_out(plan.bench, run, journal, ranked)
+    robustness = robustness._replace(held_out=held_out)
     copying = stack.enter_context(ThreadPoolExecutor(1)).submit(journal.copy_to, run.path / "study.db")
     missing = find_unconfirmed(journal, plan.confirm, robustness)
     if missing:
@@ -239,6 +285,15 @@ def _tune_in_batch(plan: TunePlan, run: RunFolder, stack: ExitStack) -> Generato
     journal.copy_to(run.path / "study.db")
     confirmed = ConfirmedStudy(journal)
     return TuneOutcome(confirmed, robustness, confirmed)
+
+
+def _make_batch_evaluator(plan: TunePlan, batch: Batch, cars: EnsembleCars | None, journal: Journal) -> Evaluator:
+    """Of the model alone, or of an ensemble of cars."""
+    bench, limits, n_baselines = plan.bench, plan.settings.requirements, len(plan.vectors)
+    if cars is not None:
+        return EnsembleEvaluator(batch, bench, cars, journal.baselines, limits=limits, first_trial=n_baselines)
+    scenarios = [bench.scenarios[name] for name in bench.spec.scenarios]
+    return BatchEvaluator(batch, bench, scenarios, batch_size=max(n_baselines, 1))
 
 
 def _describe_lanes(plan: TunePlan, evaluator: BusEvaluator) -> str:

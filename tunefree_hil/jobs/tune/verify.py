@@ -14,19 +14,23 @@ from typing import Any
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, load
+from tunefree_hil.grade.requirements.limits import requirement_limits
+from tunefree_hil.grade.requirements.verdict import DecidedGains, GainsVerdict, decide_verdict, judge_gains
 from tunefree_hil.jobs.command_text import shell_command
 from tunefree_hil.jobs.drive import new_session_name
 from tunefree_hil.jobs.learn.report_text import describe_outside, measure_outside
 from tunefree_hil.jobs.options.records import VerifyOptions
 from tunefree_hil.jobs.progress import count_data
-from tunefree_hil.jobs.report_text import candidate_table, comparison_text, failed_scenarios
+from tunefree_hil.jobs.report_text import candidate_table, comparison_text
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder, open_run, write_json
 from tunefree_hil.jobs.running.episode_results import EpisodeResult, evaluation_from_episodes
 from tunefree_hil.jobs.running.foreign import joined_controller_name, make_launch
 from tunefree_hil.jobs.running.session import choose_lane_count, open_lanes
 from tunefree_hil.jobs.running.trial_driver import TrialDriver
-from tunefree_hil.jobs.tune.candidates import TUNED, compute_baseline_vectors, read_winner
+from tunefree_hil.jobs.tune.candidates import TUNED, compute_baseline_vectors, read_winner, road_seed
 from tunefree_hil.jobs.tune.margins import find_margins, margin_data, margin_table, margin_text, measure_steering
+from tunefree_hil.jobs.tune.verdict.best_file import DrivenOn, read_best, write_best
+from tunefree_hil.jobs.tune.verdict.text import requirement_table, road_oscillation_text, verdict_reason
 from tunefree_hil.tune.trial import Evaluation
 
 EXIT_NOT_BETTER = 1  # exit status
@@ -37,8 +41,8 @@ EpisodesByVector = dict[str, Mapping[str, EpisodeResult]]  # and by scenario
 def verify(options: VerifyOptions) -> Iterator[Event]:
     """Verify the winner of a finished tune again.
 
-    Exit status 1 where a manual vector is better, or a scenario is not driven to its end. A passed verification does
-    not mean that the best manual vector is good.
+    Exit status 1 where the gains are not ACCEPTED: they violate a requirement, or a manual set that meets the
+    requirements is as good.
     """
     run = open_run(options.run)
     command = run.record.get("command")
@@ -74,14 +78,22 @@ def verify_winner(bench: Bench, run: RunFolder, options: VerifyOptions) -> Gener
         driver = TrialDriver(lanes, bench, RunFolder(run.path / "verify", run.record))
         episodes = yield from _drive_vectors(driver, bench, vectors)
         joined = joined_controller_name(lanes) if options.join else run.record.get(JOINED)
-    data = _compare({name: evaluation_from_episodes(by_scenario) for name, by_scenario in episodes.items()})
+    evaluations = {name: evaluation_from_episodes(by_scenario) for name, by_scenario in episodes.items()}
+    decided = _decide(bench, evaluations)
+    data = _compare(decided, evaluations)
     yield from (Event("note", line) for line in candidate_table(data["scenarios"], data["scores"]))
+    table = requirement_table({TUNED: data["requirements"], **data["manual_requirements"]})
+    yield from (Event("note", line) for line in table)
     data["margins"] = yield from _report_margins(bench, vectors, episodes, data["scores"], joined)
     # whether the data of the tuned model cover what the winner does on the vehicle
     recordings = {name: episode.recording for name, episode in episodes[TUNED].items()}
     data["outside"] = measure_outside(bench, bench.spec.model, recordings)
-    parts = (data["sentence"], margin_text(data["margins"], TUNED), describe_outside(data["outside"]))
-    data["sentence"] = "; ".join(part for part in parts if part)
+    swing = road_oscillation_text(evaluations[TUNED].scenarios)
+    parts = (data["summary"], swing, margin_text(data["margins"], TUNED), describe_outside(data["outside"]))
+    data["summary"] = "; ".join(part for part in parts if part)
+    data["sentence"] = f"{data['verdict']}: {data['reason']}; {data['summary']}"
+    driven = DrivenOn(model, list(evaluations[TUNED].scenarios), road_seed(bench))
+    write_best(run, read_best(run), decided, driven, vectors, swing)
     data["figures"] = _write_figures(run, episodes, data)
     write_json(run.path / "verify.json", {"schema": "tunefree.verify/1", **data})
     return data
@@ -130,17 +142,22 @@ def _report_margins(
     return data
 
 
-def _compare(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
+def _decide(bench: Bench, evaluations: Mapping[str, Evaluation]) -> DecidedGains:
+    """The verdict by the requirements of the bench file, over the verified roads."""
+    limits = requirement_limits(bench.vehicle.limits, bench.spec.require)
+    judged = {name: judge_gains(one.score, one.scenarios, limits) for name, one in evaluations.items()}
+    return decide_verdict(judged[TUNED], {name: gains for name, gains in judged.items() if name != TUNED})
+
+
+def _compare(decided: DecidedGains, evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
     """The winner against the best baseline."""
-    tuned = evaluations[TUNED]
-    baselines = {name: evaluation for name, evaluation in evaluations.items() if name != TUNED}
-    manual = min(baselines, key=lambda name: baselines[name].score)
-    best = baselines[manual]
-    sentence = comparison_text(manual, best.scenarios, tuned.scenarios, (best.score, tuned.score))
+    tuned, best = evaluations[TUNED], evaluations[decided.manual]
     return {
-        "sentence": sentence,
-        "holds": tuned.score < best.score and not failed_scenarios(tuned.scenarios),
-        "manual": manual,
+        "summary": comparison_text(decided.manual, best.scenarios, tuned.scenarios, (best.score, tuned.score)),
+        "reason": verdict_reason(decided),
+        "holds": decided.verdict is GainsVerdict.ACCEPTED,
+        **decided.as_data(),
+        "manual": decided.manual,
         "ratio": tuned.score / best.score,
         "scores": {name: evaluation.score for name, evaluation in evaluations.items()},
         "scenarios": {name: evaluation.scenarios for name, evaluation in evaluations.items()},

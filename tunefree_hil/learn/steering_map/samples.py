@@ -83,6 +83,8 @@ def collect_steady_samples(drives: Sequence[Drive], vehicle: VehicleSpec) -> Ste
 
 def sample_drive(drive: Drive, vehicle: VehicleSpec) -> SteadySamples:
     """The samples of one drive. Raises InputError as `collect_steady_samples`."""
+    everywhere = np.ones(drive.n_rows, dtype=bool)  # without `fresh` a drive has every field in each row
+    drive = drive._replace(fresh={name: drive.fresh.get(name, everywhere) for name in drive.fields})
     rows = round(CRITERIA.window_s / drive.dt_s)
     half = max(rows // 2, 1)
     delay_rows = round(vehicle.ins_frame.latency_s / drive.dt_s)

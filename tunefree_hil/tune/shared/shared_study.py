@@ -82,7 +82,7 @@ class SharedStudy:
         return list(self._trials)
 
     def best(self) -> Trial | None:
-        """The trial with the lowest score, as last read."""
+        """The best trial (`find_best_trial`), as last read."""
         return find_best_trial(self._trials)
 
     def baselines(self) -> dict[str, Baseline]:

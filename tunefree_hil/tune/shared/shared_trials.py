@@ -16,8 +16,9 @@ from optuna.storages import RDBStorage
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from tunefree_hil.tune.optuna_study import StoredTrials
-from tunefree_hil.tune.sampling import ScoredPoint, sampler_value_from_score, suggest_points
+from tunefree_hil.tune.sampling import sampler_value_from_score, suggest_points
 from tunefree_hil.tune.trial import Evaluation, Trial
+from tunefree_hil.tune.trial_loop import point_from_trial
 
 FINALISATION = "ending"  # user attribute of the study
 
@@ -138,9 +139,9 @@ class SharedTrials:
     def _suggest(self, slot: int) -> dict[str, float]:
         """Suggest parameters from all finished trials, away from the running ones."""
         settings = self.settings
-        if slot == 0 and settings.first:
-            return dict(settings.first)
-        history = [ScoredPoint(trial.parameters, trial.score) for trial in self.stored.trials()]
+        if slot < len(settings.given_points):
+            return settings.given_points[slot]
+        history = [point_from_trial(trial, settings) for trial in self.stored.trials()]
         pending = [frozen.params for frozen in self._running()]
         drawn = suggest_points(
             settings.space, history, sampler=settings.sampler, seed=settings.seed, slots=[slot], pending=pending

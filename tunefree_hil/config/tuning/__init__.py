@@ -1,0 +1,1 @@
+"""Tables of a bench file that say what a search is for."""

@@ -1,0 +1,1 @@
+"""What a verdict comes to: sentences, a table of the requirements, and best.toml."""
