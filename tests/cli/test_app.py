@@ -286,6 +286,25 @@ def test_a_signal_while_it_starts_ends_in_order(name: str) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 
+ENDING = """
+import os, signal, sys
+class Late:  # deleted with the modules, when Python has taken its own handlers away
+    def __del__(self, kill=os.kill, process=os.getpid(), number=signal.{}):
+        kill(process, number)
+late = Late()
+sys.argv = ["tunefree-hil", "--version"]
+from tunefree_hil.cli import main
+main()
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_after_the_end_does_not_change_the_status(name: str) -> None:
+    words = [sys.executable, "-c", ENDING.format(name)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize(
     ("lines", "status"),
     [

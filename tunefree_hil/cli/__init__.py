@@ -24,6 +24,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         status = INTERRUPTED
+    if arguments is None:
+        ignore_signals()
     sys.exit(status)
 
 
@@ -33,8 +35,14 @@ def handle_sigterm() -> None:
         signal.signal(signal.SIGTERM, _raise_interrupt)
 
 
+def ignore_signals() -> None:
+    """Keep the exit status: Python hands SIGINT back to the system as it ends, and a late Ctrl-C would be reported."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+
+
 def _raise_interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-__all__ = ["INTERRUPTED", "handle_sigterm", "main"]
+__all__ = ["INTERRUPTED", "handle_sigterm", "ignore_signals", "main"]

@@ -37,7 +37,7 @@ from tunefree_hil.gap.measured.observability import find_unobservable_links, fin
 from tunefree_hil.gap.model.graph import load_catalogue
 from tunefree_hil.gap.progress import SearchProgress, SearchStage
 from tunefree_hil.gap.selection.baseline_misfit import NO_BASELINE, BaselineMisfit, baseline_of_model
-from tunefree_hil.gap.selection.candidate_reasons import remaining_reasons, score_reasons, step_reasons
+from tunefree_hil.gap.selection.candidate_reasons import in_order, remaining_reasons, score_reasons, step_reasons
 from tunefree_hil.gap.selection.criteria import CRITERIA, CandidateScore
 from tunefree_hil.gap.selection.equivalence import add_easily_confused, find_inseparable, has_lateral_acceleration
 from tunefree_hil.gap.selection.model_misfit import ModelMisfit, SearchContext, assess_model, mark_broken_targets
@@ -300,7 +300,7 @@ def _reject_candidates(
     written = (*verdict.reasons, *outcome.dropped, *outcome.known, *reasons)
     covered = {*verdict.names, *(reason.name for reason in written)}
     has_lateral = has_lateral_acceleration(search.drives)
-    return (*reasons, *remaining_reasons(scores, outcome.new_effects, covered, has_lateral))
+    return in_order((*reasons, *remaining_reasons(scores, outcome.new_effects, covered, has_lateral)))
 
 
 def _with_remarks(search: Search, diagnosis: Diagnosis, outcome: SelectionOutcome) -> Diagnosis:

@@ -32,6 +32,12 @@ def excitation_reasons(excitation: Mapping[str, Excitation]) -> tuple[Reason, ..
     )
 
 
+def in_order(reasons: Iterable[Reason]) -> tuple[Reason, ...]:
+    """The reasons by stage, effects beside and name: workers finish their candidates in any order."""
+    stages = (None, *RejectionStage)
+    return tuple(sorted(reasons, key=lambda reason: (stages.index(reason.stage), reason.beside, reason.name)))
+
+
 def score_reasons(
     scores: Iterable[CandidateScore], stage: RejectionStage, beside: tuple[str, ...] = ()
 ) -> tuple[Reason, ...]:
