@@ -27,7 +27,7 @@ GROUPS = {
     "Body, tyres and surroundings": (Port.BODY,),
     "Sensing and timing": (Port.REPORT, Port.INS),
 }
-TIMES = {"steer_rad": "largest steering", "mass_kg": "mass", "wheelbase_m": "wheelbase"}
+TIMES = {"steer_rad": "steering", "mass_kg": "mass", "wheelbase_m": "wheelbase"}
 
 
 def tables() -> str:
@@ -51,7 +51,7 @@ def _group(some: dict[str, Effect]) -> Iterator[str]:
         for i, key in enumerate(one.neutral):
             first = (f"`{name}`", place, links) if i == 0 else ("", "", "")
             yield (
-                f"| {first[0]} | {first[1]} | {key}{_unit(one.units[key])} | {_number(one.neutral[key])} | "
+                f"| {first[0]} | {first[1]} | {key} | {_number(one.neutral[key])} | "
                 f"{_range(one.priors[key])} | {_typical(one.priors[key])} | {first[2]} |"
             )
     yield from ("", "| effect | looks like | taken for | told apart by |", "|---|---|---|---|")
@@ -59,16 +59,12 @@ def _group(some: dict[str, Effect]) -> Iterator[str]:
         yield f"| `{name}` | {one.symptom} | {', '.join(one.impostors)} | {one.manoeuvre} |"
 
 
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else f" [{unit}]"
-
-
 def _number(value: float) -> str:
     return "inf" if math.isinf(value) else f"{value:g}"
 
 
 def _range(prior: Prior) -> str:
-    return f"{prior.low:g} to {prior.high:g}{_times(prior)}{', log' if prior.scale == 'log' else ''}"
+    return f"{prior.low:g}..{prior.high:g}{_times(prior)}{', log' if prior.scale == 'log' else ''}"
 
 
 def _typical(prior: Prior) -> str:
@@ -77,7 +73,7 @@ def _typical(prior: Prior) -> str:
 
 def _times(prior: Prior) -> str:
     """The vehicle's own size by which a prior is multiplied."""
-    return f" x {TIMES[prior.times]}" if prior.times else ""
+    return f"×{TIMES[prior.times]}" if prior.times else ""
 
 
 def page(text: str) -> str:

@@ -85,7 +85,7 @@ def test_names_of_baselines_claim_nothing_that_was_not_shipped(path: Path) -> No
 
 @pytest.mark.parametrize("path", OURS, ids=lambda path: path.stem)
 def test_a_bench_drives_with_manual_gains_of_its_own_vehicle(path: Path) -> None:
-    """What is not searched stays manual. Where nobody shipped gains that is `rule_based`, clipped into the wider box."""
+    """What is not searched stays manual. Without shipped gains that is `rule_based`, in the wider box."""
     bench = load(path)
     if bench.vehicle.manual_gains == "as_shipped":
         return
