@@ -23,9 +23,9 @@ from tunefree_hil.bench import load, model_of
 from tunefree_hil.config.load import load_bench, load_model, load_vehicle
 
 SHIPPED = sorted(path.parent for path in tool.MODELS.glob("*/card.json"))
-BENCHES = [
-    path for path in sorted((ROOT / "bench_configs").glob("*.toml")) if tool.MODELS / load_bench(path).model in SHIPPED
-]
+LEARNED = [load_bench(path) for path in sorted((ROOT / "bench_configs").glob("*.toml"))]
+LEARNED = [spec for spec in LEARNED if tool.MODELS / spec.model in SHIPPED]
+BENCHES = [Path(spec.path) for spec in LEARNED if spec.roads is None]  # those with made roads have no counterpart
 DRIVEN_S = 5.0
 
 

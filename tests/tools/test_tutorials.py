@@ -23,6 +23,7 @@ import pytest
 
 from tests.house import ROOT, TEXT_FOLDERS
 from tests.test_documents import PAGES, commands
+from tunefree_hil.config.load import load_bench
 
 STEER, TUNED = "bench_configs/mkz_steer.toml", "runs/*-tune-mkz_steer"
 
@@ -125,15 +126,19 @@ STAYS = ("tunefree-hil hub", "tunefree-hil ecu", "tunefree-hil controller")
 TERMINAL = {"cantools monitor": b"q"}
 TERMINAL_S = 60.0  # typed by then in any case
 
+# The vehicle that `docs/how-to/vehicle.md` stands for: the shipped one which was added last, and a bench of its own.
+LATER_BENCH = max((ROOT / "bench_configs").glob("*_steer.toml")).stem
+LATER_VEHICLE = load_bench(ROOT / "bench_configs" / f"{LATER_BENCH}.toml").vehicle
+
 # What a page leaves to its reader to fill in, as this test fills it in.
 FILLED_IN = {
     "docs/how-to/logs.md": {"DIR": "dbc/mkz_bywire", "--format NAME": "--format blf", "PATH": "rav4_drive"},
     "docs/how-to/machines.md": {"RUN": TUNED},
     "docs/how-to/own_controller.md": {"BENCH": STEER},
     "docs/how-to/vehicle.md": {
-        "dbc/NAME": "dbc/van_e2e",
-        "NAME_steer": "van_steer",
-        "LOG": "runs/*-drive-van_steer/episodes/0/vehicle.log",
+        "dbc/NAME": f"dbc/{LATER_VEHICLE}",
+        "NAME_steer": LATER_BENCH,
+        "LOG": f"runs/*-drive-{LATER_BENCH}/episodes/0/vehicle.log",
     },
     "docs/reference/files.md": {"NAME": "bench"},
 }

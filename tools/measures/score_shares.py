@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean, median
@@ -15,9 +16,9 @@ from typing import Any, NamedTuple
 
 from msgspec.structs import replace
 
-from tools.measures._ledger import ROOT
 from tools.measures._summary import rounded
 from tools.measures.oscillation import random_sets
+from tools.measures.parity import bench_files
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch, Job
 from tunefree_hil.config.load import load_weights
@@ -29,23 +30,13 @@ from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors
 from tunefree_hil.roads.sets import road_set
 
 VALUE = "largest share of one metric in the score of a calm manual set, percent"
-BENCHES = ("bench_configs/mkz_learned.toml", "bench_configs/van_learned.toml")
 PREVIEW_PARTS = {"lateral": "lqr_preview", "longitudinal": "pid_preview", "inner": "mrac_robust"}
 SHIPPED = ("as_shipped", "mrac_on")
 RULE_BASED, PREVIEW, SHAKING, RANDOM = "rule_based", "preview", "shaking", "random"
 CALM = (*SHIPPED, PREVIEW)  # candidates
 SHAKING_RANDOM, LEAST, SCORE = "shaking random sets", "least of any set", "score"  # columns and row of the table
-# What the textbook rules gave before they minded the pedals' dead time: the shaking sets of issue 44 (commit 52e18f2).
-HASTY = {
-    "mkz_bywire": {
-        "mrac.t_ref_s": 0.07, "lqr.q1": 0.00485, "lqr.q2": 0.00485, "lqr.q3": 0.00442, "lqr.q4": 0.00442,
-        "station.kp": 2.05, "speed.kp_low": 6.67, "speed.ki_low": 11.1, "speed.kp_high": 6.67, "speed.ki_high": 11.1,
-    },
-    "van_e2e": {
-        "mrac.t_ref_s": 0.11, "lqr.q1": 0.00515, "lqr.q2": 0.00515, "lqr.q3": 0.0047, "lqr.q4": 0.0047,
-        "station.kp": 1.06, "speed.kp_low": 3.43, "speed.ki_low": 2.95, "speed.kp_high": 3.43, "speed.ki_high": 2.95,
-    },
-}  # fmt: skip
+# What the textbook rules gave before they minded the pedals' dead time: the shaking sets, by vehicle.
+HASTY: dict[str, dict[str, float]] = tomllib.loads((Path(__file__).parent / "hasty_gains.toml").read_text("utf-8"))
 MIN_DRIVES = 5  # a set with fewer complete drives has no shares
 START_METRIC = "start_overshoot"  # it exists where a drive starts beside its road
 
@@ -106,16 +97,17 @@ class DrivenSet(NamedTuple):
 
 
 def measure(
-    roads: int = 60, sets: int = 30, seed: int = 4711, weights: str = "default", benches: str = ",".join(BENCHES),
-    model: str = "", table: str = "",
+    roads: int = 60, sets: int = 30, seed: int = 4711, weights: str = "default", benches: str = "", model: str = "",
+    table: str = "",
 ) -> dict[str, Any]:  # fmt: skip
     """Manual sets and `sets` random ones with both kinds of controller on `roads` made roads of each vehicle.
 
-    weights: name or path. model: '' is the one that the bench verifies with. table: a CSV file to write, '' for none.
+    weights: name or path. benches: files with commas between, '' for one a vehicle. model: '' is the one that the bench
+    verifies with. table: a CSV file to write, '' for none.
     """
     driven: list[DrivenSet] = []
-    for path in benches.split(","):
-        bench = load(str(ROOT / path))
+    for path in bench_files(benches):
+        bench = load(path)
         spec = load_weights(weights, bench.spec.path)
         driven += _drive_bench(dataclasses.replace(bench, weights=spec), DrivePlan(roads, sets, seed, model))
     complete = [one for one in driven if len(one.grades) >= MIN_DRIVES]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -28,9 +29,9 @@ def drive(lateral_m: float | None = 0.1, wheel_rad: float | None = 0.01, replans
     return {"outcome": "finished", "requirements": values, **more}
 
 
-@pytest.mark.parametrize("name", ["mkz_bywire", "van_e2e"])
-def test_every_requirement_has_a_default(name: str) -> None:
-    limits = default_limits(load_vehicle(ROOT / "dbc" / name).limits)
+@pytest.mark.parametrize("path", sorted((ROOT / "dbc").glob("*/vehicle.toml")), ids=lambda path: path.parent.name)
+def test_every_requirement_has_a_default(path: Path) -> None:
+    limits = default_limits(load_vehicle(path.parent).limits)
     assert tuple(limits) == REQUIREMENTS
     assert all(limit > 0.0 for key, limit in limits.items() if key != "replans") and limits["replans"] == 0.0
 

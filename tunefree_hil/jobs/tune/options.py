@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load, parameters_of, require_buildable
 from tunefree_hil.control.parameters import BoxChoice
-from tunefree_hil.grade.requirements.limits import RequirementLimits, requirement_limits
+from tunefree_hil.grade.requirements.limits import RequirementLimits, requirement_limits, search_limits
 from tunefree_hil.jobs.command_text import changed_options, shell_command
 from tunefree_hil.jobs.drive import new_session_name
 from tunefree_hil.jobs.identity import compute_identity
@@ -237,7 +237,7 @@ def _requirements(bench: Bench, options: TuneOptions) -> RequirementLimits:
     """Limits that the search keeps; none in a resumed study that was started without, by an earlier version."""
     if options.resume is not None and REQUIREMENTS not in _read_tune_record(options.resume).get("settings", {}):
         return {}
-    return requirement_limits(bench.vehicle.limits, bench.spec.require)
+    return search_limits(requirement_limits(bench.vehicle.limits, bench.spec.require))
 
 
 def _require_batch_for_ensemble(bench: Bench, options: TuneOptions) -> None:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from tunefree_hil.base.errors import TunefreeError
 from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.episode.recording import Recording, load_recording
+from tunefree_hil.grade.requirements.limits import requirement_limits
 from tunefree_hil.grade.requirements.verdict import DecidedGains, decide_verdict, judge_gains
 from tunefree_hil.jobs.learn.report_text import describe_outside, measure_outside
 from tunefree_hil.jobs.report_text import GradesByScenario, candidate_table, comparison_text
@@ -55,7 +56,7 @@ def write_tune_report(
     if not trials:
         raise TunefreeError("the study has no trial", hint="--trials 1 or more")
     winner, manual = robustness.rank_trials(trials)[0], find_best_baseline(study.baselines())
-    decided = _decide(study, winner)
+    decided = _decide(bench, study, winner)
     _write_best(bench, run, winner, manual, decided)
     data = {
         "over": "bus",
@@ -73,9 +74,9 @@ def write_tune_report(
     return report if confirmed is None else _add_confirmation(report, confirmed, winner)
 
 
-def _decide(study: ScoredStudy, winner: Trial) -> DecidedGains:
-    """The verdict of the searched roads, by the requirements of the study."""
-    limits = study.settings.requirements
+def _decide(bench: Bench, study: ScoredStudy, winner: Trial) -> DecidedGains:
+    """The verdict of the searched roads, by the requirements; the search kept a reserve to some of them."""
+    limits = requirement_limits(bench.vehicle.limits, bench.spec.require) if study.settings.requirements else {}
     manuals = {name: judge_gains(base.score, base.scenarios, limits) for name, base in study.baselines().items()}
     return decide_verdict(judge_gains(winner.score, winner.scenarios, limits), manuals)
 
