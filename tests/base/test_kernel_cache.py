@@ -58,7 +58,8 @@ def run(folder: Path, source: str, jit: str = "1") -> str:
     """What `main` of a module prints in a process of its own; the cache is in the same folder."""
     (folder / "module.py").write_text(source)
     done = subprocess.run(
-        [sys.executable, "-c", "import module; module.main()"],
+        # -B: bytecode of the last edit would stand for one of the same length within the same second
+        [sys.executable, "-B", "-c", "import module; module.main()"],
         env={**os.environ, "TUNEFREE_JIT": jit, "TUNEFREE_CACHE": str(folder), "PYTHONPATH": f"{ROOT}:{folder}"},
         capture_output=True,
         text=True,
