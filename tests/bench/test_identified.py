@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from tests.house import ROOT
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load, model_of
 from tunefree_hil.bench.controller import ControllerFor, constants_of
-from tunefree_hil.bench.identified import identified_of, map_of_plant
+from tunefree_hil.bench.identified import equivalent_lag_s, identified_of, map_of_plant
+from tunefree_hil.config.schema import ActuatorSpec
 from tunefree_hil.control.steering_map import SteeringMap, data_sheet_map
 from tunefree_hil.jobs.identity import compute_identity, resolved_toml
 
@@ -123,3 +125,14 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
 
 def test_shipped_models_have_none() -> None:
     assert not list(MODELS.glob("*/steering_map.toml"))
+
+
+def test_the_lag_of_a_second_order_actuator() -> None:
+    """The ramp response of either falls behind by the same time."""
+    natural_radps, damping = 12.0, 0.8
+    angle, rate, dt_s = 0.0, 0.0, 1e-4
+    for k in range(30_000):
+        rate += (natural_radps**2 * (k * dt_s - angle) - 2.0 * damping * natural_radps * rate) * dt_s
+        angle += rate * dt_s
+    spec = ActuatorSpec(order=2, natural_hz=natural_radps / (2.0 * math.pi), damping=damping)
+    assert 3.0 - angle == pytest.approx(equivalent_lag_s(spec), abs=2e-4)

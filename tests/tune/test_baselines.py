@@ -14,9 +14,7 @@ from tunefree_hil.control.parameters import BASELINES, NAMES, check_complete, ro
 from tunefree_hil.tune.baselines import (
     DRIVE_LINE_LAG_S,
     RuleInputs,
-    complete_vector,
     compute_rule_based,
-    equivalent_lag_s,
     list_further_starts,
     list_manual_vectors,
     make_first_trial,
@@ -48,9 +46,6 @@ def test_the_first_trial_is_manual_with_mrac_clipped() -> None:
     assert first["lqr.q2"] == by_name["lqr.q2"].low and first["lqr.q4"] == by_name["lqr.q4"].low
     inside = [name for name in space.names if name not in ("lqr.q2", "lqr.q4", "mrac.p")]
     assert [first[name] for name in inside] == [round32(manual[name]) for name in inside]
-    check_complete(complete_vector(first))
-    assert complete_vector(first)["mrac.enable"] == 1.0
-    assert complete_vector(first)["look_ahead_m"] == 0.0
 
 
 def test_a_parameter_without_a_manual_value_starts_in_the_middle() -> None:
@@ -144,16 +139,6 @@ def test_rules_without_their_numbers_are_refused(change: dict[str, float]) -> No
     with pytest.raises(InputError) as caught:
         compute_rule_based(MKZ._replace(**change), LOOP)
     assert caught.value.key == next(iter(change))
-
-
-def test_the_lag_of_a_second_order_actuator() -> None:
-    """The ramp response of either falls behind by the same time."""
-    natural_radps, damping = 12.0, 0.8
-    angle, rate, dt_s = 0.0, 0.0, 1e-4
-    for k in range(30_000):
-        rate += (natural_radps**2 * (k * dt_s - angle) - 2.0 * damping * natural_radps * rate) * dt_s
-        angle += rate * dt_s
-    assert 3.0 - angle == pytest.approx(equivalent_lag_s(natural_radps / (2.0 * math.pi), damping), abs=2e-4)
 
 
 def test_further_starts_are_the_other_sets_once_each() -> None:

@@ -13,8 +13,8 @@ from tunefree_hil.tune.loop_margins import (
     FREQUENCIES_RADPS,
     LateralLoop,
     LoopMarginCriteria,
-    compute_margins,
     keeps_margins,
+    margin_at,
     margin_from_response,
     reduce_to_margins,
 )
@@ -62,7 +62,7 @@ def swing_after(loop: LateralLoop, gains: list[float], speed_mps: float, extra_d
 def test_the_delay_margin_is_where_a_simulated_loop_becomes_unstable(speed_mps: float) -> None:
     loop = LOOP._replace(top_speed_mps=speed_mps)
     (gains,) = gain_rows([speed_mps], CALM, MKZ, loop.dt_s, shipped=False)
-    margin = compute_margins(loop, CALM)[-1]
+    margin = margin_at(loop, CALM, speed_mps)
     assert 0.05 < margin.delay_s < 0.5
     assert swing_after(loop, gains, speed_mps, 0.9 * margin.delay_s) < 0.1
     assert swing_after(loop, gains, speed_mps, 1.1 * margin.delay_s) > 0.5

@@ -11,14 +11,21 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
 from tunefree_hil.control import cascade, limits
 from tunefree_hil.control.calibration_map import CalibrationMap
-from tunefree_hil.control.contract import LoopDelays, Settings, Setup, VehicleConstants, bind, with_loop_lag
+from tunefree_hil.control.contract import (
+    RISE_PER_TAU,
+    LoopDelays,
+    Settings,
+    Setup,
+    VehicleConstants,
+    bind,
+    with_loop_lag,
+)
 from tunefree_hil.control.filters import butterworth_delay_s
 from tunefree_hil.control.follower import PREVIEW_S, PreviewTimes, ReplanRules, make_follower
 from tunefree_hil.control.parameters import BY_NAME, check_complete, middle_of
 from tunefree_hil.control.steering_map import SteeringMap, data_sheet_map
 
 STEER_PREVIEW, PEDAL_PREVIEW = "steer.preview", "speed.preview_s"
-RISE_PER_TAU = 2.2  # 10 to 90 % rise time of a first-order lag
 
 
 class PartNames(NamedTuple):

@@ -19,6 +19,8 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import kernel
 from tunefree_hil.base.records import Measurement
 
+RISE_PER_TAU = 2.2  # 10 to 90 % rise time of a first-order lag
+
 
 class VehicleConstants(NamedTuple):
     """Vehicle constants of the controller (vehicle.toml: nominal, limits, latency). Stiffness is per AXLE.

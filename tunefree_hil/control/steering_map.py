@@ -120,9 +120,3 @@ def wheel_rad(steering: SteeringMap, road_wheel_rad: float) -> float:
     if zone_rad > 0.0:
         angle_rad += zone_rad * clamp(angle_rad / (SPAN_PER_DEAD_ZONE * zone_rad), -1.0, 1.0)
     return angle_rad + steering.offset_rad
-
-
-@kernel
-def steady_heading_error_rad(steering: SteeringMap, speed_mps: float, curvature_1pm: float) -> float:
-    """Heading error of steady cornering at the centre of mass: minus the side-slip angle there."""
-    return (steering.rear_slip_s2pm * speed_mps * speed_mps - steering.rear_axle_m) * curvature_1pm

@@ -59,11 +59,6 @@ class RuleInputs(NamedTuple):
     speed_mps: float
 
 
-def complete_vector(tuned: Mapping[str, float]) -> dict[str, float]:
-    """The complete vector of a trial: the tuned values, and those that a study fixes (MRAC on, gamma 1)."""
-    return {**study_values(), **tuned}
-
-
 def list_manual_vectors(rule: Mapping[str, float], *, shipped: bool) -> dict[str, dict[str, float]]:
     """The baselines of a vehicle by name, not clipped to a search space.
 
@@ -100,11 +95,6 @@ def list_further_starts(
         if start != first and start not in starts:
             starts.append(start)
     return starts
-
-
-def equivalent_lag_s(natural_hz: float, damping: float) -> float:
-    """First-order lag with the phase slope of a second-order system at low frequency: 2 damping / omega_n, in s."""
-    return 2.0 * damping / (2.0 * math.pi * natural_hz)
 
 
 def compute_rule_based(inputs: RuleInputs, loop: LateralLoop) -> dict[str, float]:

@@ -65,11 +65,6 @@ class LoopMargin(NamedTuple):
     delay_s: float
 
 
-def compute_margins(loop: LateralLoop, weights: Weights) -> list[LoopMargin]:
-    """The margins of the loop with the LQR of these weights, at each speed of `loop.speeds_mps`."""
-    return [margin_at(loop, weights, speed) for speed in loop.speeds_mps]
-
-
 def margin_at(loop: LateralLoop, weights: Weights, speed_mps: float) -> LoopMargin:
     """The margins at one speed."""
     (gains,) = gain_rows([speed_mps], weights, loop.controller, loop.dt_s, shipped=False)

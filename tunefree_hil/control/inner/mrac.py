@@ -19,12 +19,19 @@ from tunefree_hil.base.contracts import Block
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import kernel
 from tunefree_hil.base.maths import clamp
-from tunefree_hil.control.contract import InnerAnswer, LoopDelays, Recipe, Settings, Setup, VehicleConstants
+from tunefree_hil.control.contract import (
+    RISE_PER_TAU,
+    InnerAnswer,
+    LoopDelays,
+    Recipe,
+    Settings,
+    Setup,
+    VehicleConstants,
+)
 from tunefree_hil.control.limits import SteerBound, steer_bound, steer_bound_of
 from tunefree_hil.control.mrac_needs import require_needs
 from tunefree_hil.control.parameters import tunables_of
 
-RISE_PER_TAU = 2.2  # 10 to 90 % rise time of a first-order lag
 ADAPT_ABOVE_MPS = 0.2
 RATE_PERCENT_PER_S = 10000.0  # of the reference and the output, as in Apollo (the rate of the wheel is limited later)
 

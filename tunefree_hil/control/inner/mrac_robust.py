@@ -27,7 +27,9 @@ from tunefree_hil.control.limits import SteerBound, steer_bound, steer_bound_of
 from tunefree_hil.control.mrac_needs import require_needs
 from tunefree_hil.control.parameters import tunables_of
 
-P_SCALE = 1e4  # normalised gradient: mrac.p of the published box (1e-4 to 0.1) spans adaptation in 100 s to 0.1 s
+# Normalised gradient: the published box of mrac.p, 1e-4 to 0.1, adapts in 250 s to 0.25 s. With 0.1 s, as long as a
+# dead time, the gains follow their own delay and the wheel swings (24 of 250 drawn sets; none with 0.25 s).
+RATE_PER_P_1PS = 40.0
 LEAST_PERCENT = 0.5  # smaller demands, in percent of the limit, are not learned from
 
 
@@ -80,7 +82,7 @@ def make(setup: Setup) -> Block:
         enable=enable,
         percent_per_rad=100.0 / vehicle.steer_limit_rad,
         model_share=setup.dt_s / (t_ref_s + setup.dt_s),
-        rate_1ps=P_SCALE * values["mrac.p"] * values["mrac.gamma"] * 1e-2,
+        rate_1ps=RATE_PER_P_1PS * values["mrac.p"] * values["mrac.gamma"],
         leak_1ps=values["mrac.leak_1ps"],
         dead_zone=setup.settings.mrac_dead_zone,
         start_angle=1.0 - ratio,

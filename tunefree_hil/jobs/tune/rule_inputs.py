@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from tunefree_hil.bench import Bench, model_of
 from tunefree_hil.bench.controller import constants_of, settings_of
-from tunefree_hil.bench.identified import steering_of
+from tunefree_hil.bench.identified import equivalent_lag_s, steering_of
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec, value_of
 from tunefree_hil.config.vehicle_schema import LatencySpec
+from tunefree_hil.control.contract import RISE_PER_TAU
 from tunefree_hil.control.filters import butterworth_delay_s
-from tunefree_hil.control.inner.mrac import RISE_PER_TAU
 from tunefree_hil.control.steering_map import stiffness_of
 from tunefree_hil.roads.limits import road_limits
-from tunefree_hil.tune.baselines import RuleInputs, equivalent_lag_s
+from tunefree_hil.tune.baselines import RuleInputs
 from tunefree_hil.tune.loop_margins import LateralLoop
 
 
@@ -26,7 +26,7 @@ def lateral_loop(bench: Bench) -> LateralLoop:
         controller=vehicle,
         plant=vehicle._replace(front_stiffness_n_per_rad=front, rear_stiffness_n_per_rad=rear),
         dead_time_s=value_of(steer.dead_time_s) + ticks * bench.dt_s + filter_s,
-        lag_s=_lag_s(steer),
+        lag_s=equivalent_lag_s(steer),
         top_speed_mps=road_limits(bench.vehicle).speed_mps,
         dt_s=bench.dt_s,
     )
@@ -40,9 +40,9 @@ def rule_inputs(bench: Bench) -> RuleInputs:
     slower = max(actuators["throttle"], actuators["brake"], key=_delay_s)
     top_speed_mps = max(max(scenario.speed.value) for scenario in bench.scenarios.values())
     return RuleInputs(
-        steer_lag_s=_lag_s(actuators["steer"]),
+        steer_lag_s=equivalent_lag_s(actuators["steer"]),
         drive_dead_time_s=value_of(slower.dead_time_s),
-        drive_lag_s=_lag_s(slower),
+        drive_lag_s=equivalent_lag_s(slower),
         loop_delay_s=(model.timing.report_ticks + model.timing.command_ticks) * bench.dt_s,
         steer_limit_rad=vehicle.limits.steer_rad,
         steer_ratio=vehicle.nominal.steer_ratio or 1.0,
@@ -60,11 +60,5 @@ def _actuator(vehicle: VehicleSpec, model: ModelSpec, channel: str) -> ActuatorS
     return ActuatorSpec(dead_time_s=latency.dead_time_s, lag_s=latency.rise_time_s / RISE_PER_TAU)
 
 
-def _lag_s(spec: ActuatorSpec) -> float:
-    if spec.order == 2:
-        return equivalent_lag_s(value_of(spec.natural_hz), value_of(spec.damping))
-    return value_of(spec.lag_s)
-
-
 def _delay_s(spec: ActuatorSpec) -> float:
-    return value_of(spec.dead_time_s) + _lag_s(spec)
+    return value_of(spec.dead_time_s) + equivalent_lag_s(spec)
