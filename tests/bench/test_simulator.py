@@ -21,7 +21,7 @@ from tunefree_hil.bench.parallel import Fleet
 from tunefree_hil.bench.simulator import Job, Simulator, with_effects
 from tunefree_hil.config.schema import EffectSpec, FaultSpec, ProfileSpec, ScenarioSpec, StartSpec
 from tunefree_hil.episode.columns import columns_from_frames
-from tunefree_hil.grade.score import grade_drive, grade_vehicle_from_spec
+from tunefree_hil.grade.score import ScenarioEnd, grade_drive, grade_vehicle_from_spec
 
 STARTS = {
     "on_the_path": StartSpec(lateral_m=0.1, speed_mps=5.0),
@@ -61,7 +61,7 @@ def test_a_drive_without_frames_is_the_drive_with_frames(path: Path, case: str) 
     follower = follower_of(bench, scenario, values)
     recording = columns_from_frames(drive.frames, bench.codec, follower, bench.dt_s, ticks=drive.ticks)
     course, vehicle = bench.course(scenario), grade_vehicle_from_spec(bench.vehicle)
-    graded = grade_drive(recording, course, bench.weights, vehicle, scenario="short", error=drive.error)
+    graded = grade_drive(recording, course, bench.weights, vehicle, ScenarioEnd("short", drive.error))
     [driven] = fleet.drive([Job(values, scenario)], columns=True)
     found = compared(recording, graded, driven)
     assert found["differing"] == 0, found

@@ -19,24 +19,38 @@ import pytest
 from tunefree_hil import __version__
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.entry import run
-from tunefree_hil.jobs.options.nodes import NodeLink
-from tunefree_hil.jobs.options.records import DriveOptions, ReplayOptions, TuneOptions, VerifyOptions
+from tunefree_hil.jobs.log.options import (
+    LogCheckOptions,
+    LogConvertOptions,
+    LogImportOptions,
+    LogPlotOptions,
+    LogShowOptions,
+)
+from tunefree_hil.jobs.options.nodes import EcuOptions, HubProcessOptions, NodeLink
+from tunefree_hil.jobs.options.records import (
+    DoctorOptions,
+    DriveOptions,
+    ReplayOptions,
+    ScenariosOptions,
+    TuneOptions,
+    VerifyOptions,
+)
 
-Fake = Callable[..., list[tuple[tuple[Any, ...], dict[str, Any]]]]
+Fake = Callable[..., list[tuple[Any, ...]]]
 
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> Fake:
     """Puts a job of the same signature in the place of the real one; the list of the calls it gets."""
 
-    def plant(module: str, function: str) -> list[tuple[tuple[Any, ...], dict[str, Any]]]:
-        calls: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
+    def plant(module: str, function: str) -> list[tuple[Any, ...]]:
+        calls: list[tuple[Any, ...]] = []
         loaded = importlib.import_module(f"tunefree_hil.jobs.{module}")
         signature = inspect.signature(getattr(loaded, function))
 
-        def job(*arguments: Any, **options: Any) -> Iterator[Event]:
-            signature.bind(*arguments, **options)
-            calls.append((arguments, options))
+        def job(*arguments: Any) -> Iterator[Event]:
+            signature.bind(*arguments)
+            calls.append(arguments)
             yield Event("result", "", {"sentence": "fine"})
 
         monkeypatch.setattr(loaded, function, job)
@@ -49,9 +63,9 @@ BENCH = Path("b.toml")
 
 
 @pytest.mark.parametrize(
-    ("words", "module", "arguments", "options"),
+    ("words", "module", "arguments"),
     [
-        ("drive b.toml", "drive", (DriveOptions(BENCH),), {}),
+        ("drive b.toml", "drive", (DriveOptions(BENCH),)),
         (
             "drive b.toml --scenario s --parameter a=1 --parameter b=2 --realtime --join --out runs --seed 3",
             "drive",
@@ -67,9 +81,8 @@ BENCH = Path("b.toml")
                     out=Path("runs"),
                 ),
             ),
-            {},
         ),
-        ("tune b.toml", "tune.tune", (TuneOptions(BENCH),), {}),
+        ("tune b.toml", "tune.tune", (TuneOptions(BENCH),)),
         (
             "tune b.toml --trials 5 --set lateral --scale linear --no-verify --sampler random --study x --realtime",
             "tune.tune",
@@ -85,7 +98,6 @@ BENCH = Path("b.toml")
                     realtime=True,
                 ),
             ),
-            {},
         ),
         (
             "tune b.toml --backend batch --confirm 5 --in-flight 4 --benches 2 --seed 9 --join --controller ./c",
@@ -103,55 +115,57 @@ BENCH = Path("b.toml")
                     controller="./c",
                 ),
             ),
-            {},
         ),
-        ("tune --resume runs/x", "tune.tune", (TuneOptions(resume=Path("runs/x")),), {}),
-        ("verify runs/x --bus tfhub", "tune.verify", (VerifyOptions(Path("runs/x"), bus="tfhub"),), {}),
-        ("replay runs/x --episode 3 --verify", "replay", (ReplayOptions(Path("runs/x"), 3, True),), {}),
-        ("hub --clock real --owned", "hub", (), {"session": "default", "clock": "real", "owned": True}),
-        ("ecu b.toml --model m --realtime", "ecu", (BENCH, NodeLink(realtime=True)), {"model": "m", "scenario": None}),
-        ("controller b.toml --session s", "controller", (BENCH, NodeLink(session="s")), {}),
-        ("doctor --vehicle dbc/x", "doctor", (), {"vehicle": Path("dbc/x"), "schema": None, "bench": None}),
-        ("scenarios left_turn --vehicle mkz", "scenarios", (), {"vehicle": "mkz", "name": "left_turn"}),
+        ("tune --resume runs/x", "tune.tune", (TuneOptions(resume=Path("runs/x")),)),
+        ("verify runs/x --bus tfhub", "tune.verify", (VerifyOptions(Path("runs/x"), bus="tfhub"),)),
+        ("replay runs/x --episode 3 --verify", "replay", (ReplayOptions(Path("runs/x"), 3, True),)),
+        ("hub --clock real --owned", "hub", (HubProcessOptions(clock="real", owned=True),)),
+        ("ecu b.toml --model m --realtime", "ecu", (BENCH, EcuOptions("m"), NodeLink(realtime=True))),
+        ("controller b.toml --session s", "controller", (BENCH, NodeLink(session="s"))),
+        ("doctor --vehicle dbc/x", "doctor", (DoctorOptions(Path("dbc/x")),)),
+        ("doctor --bench b.toml --bus tfhub", "doctor", (DoctorOptions(bench=BENCH, bus="tfhub"),)),
+        ("scenarios left_turn --vehicle mkz", "scenarios", (ScenariosOptions("left_turn", "mkz"),)),
+        (
+            "scenarios --roads families:2 --seed 3 --out r --export e",
+            "scenarios",
+            (ScenariosOptions(roads="families:2", seed=3, out=Path("r"), export=Path("e")),),
+        ),
     ],
 )
-def test_options_reach_the_job(
-    words: str, module: str, arguments: tuple[Any, ...], options: dict[str, Any], fake: Fake
-) -> None:
+def test_options_reach_the_job(words: str, module: str, arguments: tuple[Any, ...], fake: Fake) -> None:
     calls = fake(module, module.rpartition(".")[2])
     assert run(words.split()) == 0
-    assert calls[0][0] == arguments
-    assert options.items() <= calls[0][1].items()
+    assert calls == [arguments]
 
 
-LOG = {"path": Path("a.log"), "vehicle": None}
+LOG = Path("a.log")
 
 
 @pytest.mark.parametrize(
     ("words", "module", "function", "options"),
     [
-        ("check a.log --vehicle mkz", "check", "check", {**LOG, "vehicle": "mkz"}),
-        ("show a.log --signal PO --signal speed_mps", "show", "show", {**LOG, "signals": ["PO", "speed_mps"]}),
-        ("show a.log", "show", "show", {**LOG, "signals": ()}),
-        ("plot a.log PO --out a.png", "plot", "plot", {**LOG, "signals": ["PO"], "out": Path("a.png")}),
+        ("check a.log --vehicle mkz", "check", "check", LogCheckOptions(LOG, "mkz")),
+        ("show a.log --signal PO --signal speed_mps", "show", "show", LogShowOptions(LOG, signals=["PO", "speed_mps"])),
+        ("show a.log", "show", "show", LogShowOptions(LOG)),
+        ("plot a.log PO --out a.png", "plot", "plot", LogPlotOptions(LOG, ["PO"], out=Path("a.png"))),
         (
             "convert a.log b.bag --channel can1 --format ros1",
             "convert",
             "convert",
-            {"source": Path("a.log"), "target": Path("b.bag"), "channels": ["can1"], "to": "ros1"},
+            LogConvertOptions(LOG, Path("b.bag"), ["can1"], "ros1"),
         ),
         (
             "import a.csv --map m.toml --out d",
             "csv_import",
             "import_csv",
-            {"path": Path("a.csv"), "mapping": Path("m.toml"), "out": Path("d")},
+            LogImportOptions(Path("a.csv"), Path("m.toml"), Path("d")),
         ),
     ],
 )
-def test_log_commands(words: str, module: str, function: str, options: dict[str, Any], fake: Fake) -> None:
+def test_log_commands(words: str, module: str, function: str, options: Any, fake: Fake) -> None:
     calls = fake(f"log.{module}", function)
     assert run(["log", *words.split()]) == 0
-    assert calls == [((), options)]
+    assert calls == [(options,)]
 
 
 def test_without_a_command_the_four_jobs(capsys: pytest.CaptureFixture[str]) -> None:

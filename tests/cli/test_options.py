@@ -19,7 +19,7 @@ from tunefree_hil.jobs.options.option import Argument, Option
 class PaintOptions(NamedTuple):
     path: Annotated[Path, Argument("what is painted")]
     colour: Annotated[str, Option("a colour", "--paint", choices=("red", "blue"))] = "blue"
-    layers: Annotated[int | None, Option("how many", minimum=1, maximum=9)] = None
+    layers: Annotated[int | None, Option("how many", minimum=1, maximum=9, last=True)] = None
     names: Annotated[Sequence[str], Option("may be repeated", metavar="NAME")] = ()
     is_wet: Annotated[bool, Option("leave it wet")] = False
     can_dry: Annotated[bool | None, Option("let it dry")] = None
@@ -96,6 +96,12 @@ def test_help_has_texts_choices_limits_and_defaults() -> None:
         "--json one JSON object on stdout, last",
     ):
         assert line in lines
+
+
+def test_help_lists_fields_and_parameters_in_order_and_a_last_field_after_them() -> None:
+    names = [line.split()[0] for line in help_lines() if line.startswith("--")]
+    order = ["--paint", "--names", "--is-wet", "--can-dry", "--at", "--speed-mps", "--layers"]
+    assert names == [*order, "--plain", "--json", "--help"]
 
 
 def test_changes_replace_arguments_and_fill_other_fields() -> None:

@@ -17,9 +17,11 @@ from tunefree_hil.episode.scenario import build_course
 from tunefree_hil.grade.metrics import MetricScales
 from tunefree_hil.grade.oscillation.report import METRIC_SIGNALS
 from tunefree_hil.grade.profile import (
+    NO_EXTRAS,
     NO_SWING,
     DriveExtras,
     MetricValue,
+    ProfileSettings,
     combine_profiles,
     combine_values,
     planned_stops,
@@ -71,9 +73,9 @@ def recording(rows: int = 400, seed: int = 1, **given: Any) -> Recording:
 
 
 def values(
-    of: Recording, plan: Course | None = None, beside: DriveExtras | None = None, **options: Any
+    of: Recording, plan: Course | None = None, beside: DriveExtras = NO_EXTRAS, **options: Any
 ) -> dict[str, MetricValue]:
-    return profile_drive(of, plan or course(), CAR, extras=beside, **options)
+    return profile_drive(of, plan or course(), CAR, ProfileSettings(**options), beside)
 
 
 def test_the_source_has_42() -> None:

@@ -21,6 +21,7 @@ from tunefree_hil.episode.scenario import build_course
 from tunefree_hil.grade.score import (
     SCORE_METRICS,
     GradeVehicle,
+    ScenarioEnd,
     ScenarioGrade,
     combine_scores,
     grade_drive,
@@ -75,7 +76,7 @@ def recording(ticks: int = COURSE.ticks, **columns: Any) -> Recording:
 
 
 def score(weights_spec: WeightsSpec, error: str = "", **columns: Any) -> ScenarioGrade:
-    return grade_drive(recording(**columns), COURSE, weights_spec, MKZ, scenario="straight", error=error)
+    return grade_drive(recording(**columns), COURSE, weights_spec, MKZ, ScenarioEnd("straight", error))
 
 
 def graded(value: float, planned: int) -> ScenarioGrade:
@@ -201,7 +202,7 @@ def test_failing_earlier_never_scores_better(lateral_m: float, one: int, other: 
 
     def total(ticks: int, error: str) -> float:
         drive = recording(ticks, lateral_error_m=lateral_m)
-        return combine_scores([grade_drive(drive, COURSE, weights(), MKZ, error=error), *rest])
+        return combine_scores([grade_drive(drive, COURSE, weights(), MKZ, ScenarioEnd(error=error)), *rest])
 
     earlier, later = sorted((one, other))
     assert total(earlier + 1, "diverged") >= total(later + 1, "diverged") >= total(COURSE.ticks, "")
@@ -217,7 +218,7 @@ def test_the_score_rises_with_each_metric(name: str, one: float, other: float) -
 
 def test_a_recording_that_stops_without_a_reason_is_not_graded() -> None:
     with pytest.raises(InputError, match="'straight': 150 of 200 ticks were recorded"):
-        grade_drive(recording(150), COURSE, weights(), MKZ, scenario="straight")
+        grade_drive(recording(150), COURSE, weights(), MKZ, ScenarioEnd("straight"))
     assert grade_drive(recording(195), COURSE, weights(), MKZ).outcome == "finished"
 
 

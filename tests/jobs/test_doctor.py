@@ -20,10 +20,11 @@ from tunefree_hil.bus.socketcan.kernel_link import KernelLinkState
 from tunefree_hil.jobs import machine
 from tunefree_hil.jobs.doctor import check_bench_file, check_vehicle_folder, doctor
 from tunefree_hil.jobs.machine import FAULT, NOTE, OK
+from tunefree_hil.jobs.options.records import DoctorOptions
 
 
 def run(**options: Any) -> tuple[list[str], Event]:
-    found: Iterable[Event] = list(doctor(**{"vehicle": None, "schema": None, "bus": "tfhub", "bench": None, **options}))
+    found: Iterable[Event] = list(doctor(DoctorOptions(**{"bus": "tfhub", **options})))
     *rest, result = found
     return [event.message for event in rest], result
 

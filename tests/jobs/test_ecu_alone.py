@@ -13,7 +13,7 @@ from tunefree_hil.base.records import CanFrame, Command
 from tunefree_hil.bench import load
 from tunefree_hil.bus.dbc.codec import Codec, Snapshot
 from tunefree_hil.jobs.ecu import ecu
-from tunefree_hil.jobs.options.nodes import NodeLink
+from tunefree_hil.jobs.options.nodes import EcuOptions, NodeLink
 
 STEER_RAD = 0.4
 
@@ -36,7 +36,7 @@ def test_it_follows_commands_that_no_controller_of_ours_sends(tmp_path: Path) ->
     told: list[str] = []
 
     def serve(session: str) -> None:
-        for event in ecu(tmp_path / "b.toml", NodeLink("tfhub", session=session), scenario="tiny"):
+        for event in ecu(tmp_path / "b.toml", EcuOptions(scenario="tiny"), NodeLink("tfhub", session=session)):
             told.append(event.data.get("sentence") or event.message)
 
     with thread_hub(tmp_path) as hub, hub.member("player") as player:

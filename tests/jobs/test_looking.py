@@ -14,7 +14,9 @@ from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_scenario, load_vehicle
 from tunefree_hil.jobs.log import check as log_check
 from tunefree_hil.jobs.log import show as log_show
-from tunefree_hil.jobs.scenarios import describe_scenario, export_scenarios, scenarios
+from tunefree_hil.jobs.log.options import LogCheckOptions, LogShowOptions
+from tunefree_hil.jobs.options.records import ScenariosOptions
+from tunefree_hil.jobs.scenarios import describe_scenario, scenarios
 
 SCENARIO = """
 schema = "tunefree.scenario/1"
@@ -52,14 +54,14 @@ def test_a_scenario_in_numbers(here: Path) -> None:
 
 
 def test_what_a_vehicle_cannot_drive_is_named(here: Path) -> None:
-    said, result = lines(scenarios(vehicle="mkz_bywire", name="mad_bend"))
+    said, result = lines(scenarios(ScenariosOptions("mad_bend", "mkz_bywire")))
     assert result.data["exit"] == 1
     assert "lateral acceleration 45" in said[-1]
     assert result.data["sentence"] == "mkz_bywire cannot drive 1 of 1 scenarios: mad_bend"
 
 
 def test_all_scenarios_are_listed(here: Path) -> None:
-    said, result = lines(scenarios(vehicle=None, name=None))
+    said, result = lines(scenarios(ScenariosOptions()))
     names = [line.split()[0] for line in said]
     assert {"slow_bend", "mad_bend", "left_turn"} <= set(names) and names == sorted(names)
     assert result.data["exit"] == 0
@@ -67,7 +69,7 @@ def test_all_scenarios_are_listed(here: Path) -> None:
 
 
 def test_the_scenarios_of_the_project_suit_its_first_vehicle() -> None:
-    _, result = lines(scenarios(vehicle="mkz_bywire", name=None))
+    _, result = lines(scenarios(ScenariosOptions(vehicle="mkz_bywire")))
     assert result.data["exit"] == 0, result.data["sentence"]
 
 
@@ -91,7 +93,7 @@ def write_log(path: Path, codec: Codec, ticks: int = 100, leave_out: str = "") -
 
 def test_a_whole_log(tmp_path: Path, codec: Codec) -> None:
     path = write_log(tmp_path / "a.log", codec)
-    said, result = lines(log_check.check(path, "mkz_bywire"))
+    said, result = lines(log_check.check(LogCheckOptions(path, "mkz_bywire")))
     assert result.data["exit"] == 0
     assert result.data["sentence"].endswith("in 0.99 s: no faults")
     assert len(said) == 1 + len(codec.telemetry) + len(codec.commands)
@@ -101,7 +103,7 @@ def test_a_log_with_a_silent_message_and_a_cut_end(tmp_path: Path, codec: Codec)
     silent = codec.telemetry[0].name
     path = write_log(tmp_path / "a.log", codec, leave_out=silent)
     path.write_text(path.read_text()[:-4])
-    said, result = lines(log_check.check(path, "mkz_bywire"))
+    said, result = lines(log_check.check(LogCheckOptions(path, "mkz_bywire")))
     assert result.data["exit"] == 1
     faults = [line for line in said if line.startswith("fault: ")]
     assert len(faults) >= 2
@@ -113,13 +115,13 @@ def test_the_run_folder_knows_the_vehicle(tmp_path: Path, codec: Codec) -> None:
     (tmp_path / "bench.toml").write_text(bench)
     folder = tmp_path / "episodes" / "0"
     folder.mkdir(parents=True)
-    _, result = lines(log_check.check(write_log(folder / "vehicle.log", codec), None))
+    _, result = lines(log_check.check(LogCheckOptions(write_log(folder / "vehicle.log", codec))))
     assert Path(result.data["vehicle"]).name == "mkz_bywire"
 
 
 def test_a_lone_log_needs_its_vehicle(tmp_path: Path, codec: Codec) -> None:
     with pytest.raises(InputError, match="vehicle is not known"):
-        list(log_check.check(write_log(tmp_path / "a.log", codec), None))
+        list(log_check.check(LogCheckOptions(write_log(tmp_path / "a.log", codec))))
 
 
 def test_frames_are_decoded(tmp_path: Path, codec: Codec) -> None:
@@ -127,7 +129,7 @@ def test_frames_are_decoded(tmp_path: Path, codec: Codec) -> None:
     path = write_log(tmp_path / "a.log", codec, ticks=1)
     with path.open("a") as file:
         file.write("(0.020000) can0 7FF#0102\n")
-    said, result = lines(log_show.show(path, "mkz_bywire", []))
+    said, result = lines(log_show.show(LogShowOptions(path, "mkz_bywire")))
     assert said[-1] == "0.020000 can0 7FF (foreign) 0102"
     assert result.data["shown"] == result.data["frames"] == len(said)
     field = report.fields[0]
@@ -136,14 +138,14 @@ def test_frames_are_decoded(tmp_path: Path, codec: Codec) -> None:
 
 def test_only_what_was_asked_for(tmp_path: Path, codec: Codec) -> None:
     path = write_log(tmp_path / "a.log", codec, ticks=3)
-    said, result = lines(log_show.show(path, "mkz_bywire", ["throttle_frac"]))
+    said, result = lines(log_show.show(LogShowOptions(path, "mkz_bywire", ["throttle_frac"])))
     assert said and all("throttle_frac=" in line and "brake" not in line for line in said)
     assert result.data["shown"] == len(said) < result.data["frames"]
 
 
 def test_a_signal_that_there_is_not(tmp_path: Path, codec: Codec) -> None:
     with pytest.raises(InputError) as caught:
-        list(log_show.show(write_log(tmp_path / "a.log", codec), "mkz_bywire", ["trottle_frac"]))
+        list(log_show.show(LogShowOptions(write_log(tmp_path / "a.log", codec), "mkz_bywire", ["trottle_frac"])))
     assert "throttle_frac" in caught.value.hint
 
 
@@ -152,13 +154,13 @@ def test_the_measured_drive(shared_data: Path) -> None:
     path = shared_data / "comma2k19_rav4" / "drive.candump.log"
     if not path.is_file():
         pytest.skip("no comma2k19_rav4/drive.candump.log in ../shared/data")
-    _, result = lines(log_check.check(path, "rav4_2017"))
+    _, result = lines(log_check.check(LogCheckOptions(path, "rav4_2017")))
     assert result.data["problems"] == ["STEERING_LKA: 4 frames came out of order"]
     assert result.data["foreign"][0x343] == 600
 
 
 def test_scenarios_export_the_reference_drive(tmp_path: Path) -> None:
-    events = list(export_scenarios(vehicle="mkz_bywire", name="u_turn", folder=tmp_path))
+    events = list(scenarios(ScenariosOptions("u_turn", "mkz_bywire", export=tmp_path)))
     spec = load_scenario("u_turn")
     path = tmp_path / f"{spec.hash[:12]}.csv"
     assert events[-1].kind == "result" and [one.name for one in tmp_path.iterdir()] == [path.name]

@@ -10,9 +10,10 @@ from tests.bench.tiny import write_bench
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load, scenario_of_hash
 from tunefree_hil.config.load import load_scenario, load_vehicle
+from tunefree_hil.jobs import scenarios as scenario_jobs
 from tunefree_hil.jobs.doctor import check_bench_file
 from tunefree_hil.jobs.identity import resolved_toml
-from tunefree_hil.jobs.scenarios import make_roads
+from tunefree_hil.jobs.options.records import ScenariosOptions
 
 ROADS = 'roads = { search = "families:4", verify = "families:3", seed = 2 }'
 
@@ -87,7 +88,9 @@ def test_doctor_counts_the_roads(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_command_writes_roads_and_a_figure(tmp_path: Path) -> None:
-    *lines, result = make_roads(vehicle="mkz_bywire", roads="families:3", seed=6, folder=tmp_path / "out")
+    *lines, result = scenario_jobs.scenarios(
+        ScenariosOptions(vehicle="mkz_bywire", roads="families:3", seed=6, out=tmp_path / "out")
+    )
     assert len(lines) == 3 and result.data["sentence"].startswith("3 roads for mkz_bywire, all within its limits")
     for row in result.data["scenarios"]:
         assert row["problems"] == [] and load_scenario(row["path"]).hash == row["hash"]
@@ -97,4 +100,4 @@ def test_the_command_writes_roads_and_a_figure(tmp_path: Path) -> None:
 
 def test_the_command_needs_a_vehicle() -> None:
     with pytest.raises(InputError, match="roads are made for a vehicle"):
-        list(make_roads(vehicle=None, roads="families:3", seed=6, folder=None))
+        list(scenario_jobs.scenarios(ScenariosOptions(roads="families:3", seed=6)))

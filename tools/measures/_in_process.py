@@ -18,7 +18,7 @@ from tunefree_hil.config.schema import FaultSpec, ScenarioSpec
 from tunefree_hil.episode.candump import FD, LogFrame
 from tunefree_hil.episode.columns import columns_from_frames
 from tunefree_hil.episode.frame_hash import frame_hash
-from tunefree_hil.grade.score import ScenarioGrade, grade_drive, grade_vehicle_from_spec
+from tunefree_hil.grade.score import ScenarioEnd, ScenarioGrade, grade_drive, grade_vehicle_from_spec
 from tunefree_hil.nodes.controller import Assignment, ControllerPart
 from tunefree_hil.nodes.ecu import EcuPart
 from tunefree_hil.nodes.exchange import Exchange, can_key
@@ -90,7 +90,7 @@ class InProcess:
         recording = columns_from_frames(drive.frames, bench.codec, follower, bench.dt_s, ticks=drive.ticks)
         vehicle = grade_vehicle_from_spec(bench.vehicle)
         course = bench.course(scenario)
-        graded = grade_drive(recording, course, bench.weights, vehicle, scenario=scenario.name, error=drive.error)
+        graded = grade_drive(recording, course, bench.weights, vehicle, ScenarioEnd(scenario.name, drive.error))
         return graded, hashed.hex
 
 

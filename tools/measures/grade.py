@@ -14,7 +14,7 @@ from tunefree_hil.bench import follower_of, load, parameters_of
 from tunefree_hil.episode.columns import columns_from_frames
 from tunefree_hil.episode.recording import Recording
 from tunefree_hil.grade.profile import DriveExtras, profile_drive
-from tunefree_hil.grade.score import grade_drive, grade_vehicle_from_spec
+from tunefree_hil.grade.score import ScenarioEnd, grade_drive, grade_vehicle_from_spec
 
 VALUE = "ms to grade 30 s of driving: the 18 weighed metrics and the score, a drive without re-plans (median)"
 EPISODE_S = 30.0
@@ -43,8 +43,8 @@ def measure(runs: int = 50, scenario: str = "u_turn", bench: str = "bench_config
             found.append(1e3 * scale * (time.perf_counter() - started))
         return found
 
-    plain = timed(lambda: grade_drive(recording, course, loaded.weights, car, scenario=scenario))
-    again = timed(lambda: grade_drive(replanned, course, loaded.weights, car, scenario=scenario))
+    plain = timed(lambda: grade_drive(recording, course, loaded.weights, car, ScenarioEnd(scenario)))
+    again = timed(lambda: grade_drive(replanned, course, loaded.weights, car, ScenarioEnd(scenario)))
     whole = timed(lambda: profile_drive(recording, course, car, extras=DriveExtras(np.full(recording.ticks, 1e-3), "")))
     detail = {
         "machine": before,

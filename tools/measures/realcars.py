@@ -31,6 +31,7 @@ from tunefree_hil.jobs.learn.calibrate import calibrate
 from tunefree_hil.jobs.learn.learn import learn
 from tunefree_hil.jobs.learn.options import CalibrateOptions, LearnOptions
 from tunefree_hil.jobs.log.csv_import import import_csv
+from tunefree_hil.jobs.log.options import LogImportOptions
 from tunefree_hil.learn.compiled_process import CompiledProcess
 from tunefree_hil.learn.drives.drive import Drive, DriveSplit
 from tunefree_hil.learn.drives.read import read_drives
@@ -150,7 +151,7 @@ def imported(path: Path, mapping: Path, place: Path) -> Path:
     digest = hashlib.sha256(path.read_bytes() + mapping.read_bytes()).hexdigest()[:12]
     out = place / f"{mapping.stem}-{path.stem}-{digest}"
     if not out.is_dir():
-        ended(import_csv(path, mapping, out))
+        ended(import_csv(LogImportOptions(path, mapping, out)))
     return out / "drive.log"
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from tunefree_hil.bench.load import Bench
 from tunefree_hil.bench.simulator import Job, Simulator
 from tunefree_hil.episode.recording import Recording
-from tunefree_hil.grade.score import GRADED_ENDS, ScenarioGrade, grade_drive, grade_vehicle_from_spec
+from tunefree_hil.grade.score import GRADED_ENDS, ScenarioEnd, ScenarioGrade, grade_drive, grade_vehicle_from_spec
 
 
 class Driven(NamedTuple):
@@ -56,7 +56,6 @@ class Fleet:
         graded = None
         if drive.error in GRADED_ENDS:
             course = bench.course(scenario)
-            graded = grade_drive(
-                drive.recording, course, bench.weights, self._vehicle, scenario=scenario.name, error=drive.error
-            )
+            end = ScenarioEnd(scenario.name, drive.error)
+            graded = grade_drive(drive.recording, course, bench.weights, self._vehicle, end)
         return Driven(graded, drive.ticks, drive.error, drive.recording if columns else None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import NoneType
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -16,9 +16,23 @@ from tunefree_hil.jobs.options.option import DEFAULT_SESSION, Argument, Option
 Record = TypeVar("Record")
 StartJob = Callable[..., Iterable[Event]]
 
+
+class ListedOption(NamedTuple):
+    """A field of a record, or a parameter, that the command line shows."""
+
+    name: str
+    declared: Any
+    default: Any = inspect.Parameter.empty
+
+    @property
+    def shown(self) -> Option | Argument:
+        """What the command line shows of it."""
+        return get_args(self.declared)[1]
+
+
 COMMON = (
-    ("plain", Annotated[bool, Option("one line an event")]),
-    ("as_json", Annotated[bool, Option("one JSON object on stdout, last", "--json")]),
+    ListedOption("plain", Annotated[bool, Option("one line an event")], False),
+    ListedOption("as_json", Annotated[bool, Option("one JSON object on stdout, last", "--json")], False),
 )
 
 
@@ -26,15 +40,17 @@ def command(name: str) -> Callable[[StartJob], Callable[..., int]]:
     """Make the command `name` of a function that starts a job.
 
     A parameter of the function whose type is a record (NamedTuple) becomes an option for each field; any other is an
-    option itself. Their metadata is in jobs/options/option.py. --plain and --json are added. The function is called
-    when the job starts, so that it may import the job.
+    option itself. They are listed in this order, the `last` ones at the end. Their metadata is in
+    jobs/options/option.py. --plain and --json are added. The function is called when the job starts, so that it may
+    import the job.
     """
 
     def make_command(start_job: StartJob) -> Callable[..., int]:
         types = get_type_hints(start_job, include_extras=True)
         own = inspect.signature(start_job).parameters
-        listed = [one for parameter in own.values() for one in _list_options(parameter, types[parameter.name])]
-        listed += [_make_parameter(option, declared, False) for option, declared in COMMON]
+        options = [one for parameter in own.values() for one in _list_options(parameter, types[parameter.name])]
+        options.sort(key=lambda one: getattr(one.shown, "last", False))
+        listed = [_make_parameter(one) for one in (*options, *COMMON)]
 
         def run(*, plain: bool, as_json: bool, **arguments: Any) -> int:
             given = {key: _fill_parameter(parameter, types[key], arguments) for key, parameter in own.items()}
@@ -78,16 +94,17 @@ def _is_record(declared: Any) -> bool:
     return hasattr(declared, "_fields")
 
 
-def _list_options(parameter: inspect.Parameter, declared: Any) -> list[inspect.Parameter]:
+def _list_options(parameter: inspect.Parameter, declared: Any) -> list[ListedOption]:
     if not _is_record(declared):
-        return [_make_parameter(parameter.name, declared, parameter.default)]
+        return [ListedOption(parameter.name, declared, parameter.default)]
     types, defaults = get_type_hints(declared, include_extras=True), declared._field_defaults
-    return [_make_parameter(name, types[name], defaults.get(name, inspect.Parameter.empty)) for name in types]
+    return [ListedOption(name, types[name], defaults.get(name, inspect.Parameter.empty)) for name in types]
 
 
-def _make_parameter(name: str, declared: Any, default: Any) -> inspect.Parameter:
-    """The parameter that typer reads for a field, or a parameter, with an Option or Argument."""
-    plain, shown = get_args(declared)
+def _make_parameter(option: ListedOption) -> inspect.Parameter:
+    """The parameter that typer reads for an option."""
+    name, default, shown = option.name, option.default, option.shown
+    plain = get_args(option.declared)[0]
     shown_type = _convert_type(plain, getattr(shown, "choices", ()))
     if default == ():
         shown_type, default = shown_type | None, None

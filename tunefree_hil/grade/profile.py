@@ -60,19 +60,31 @@ class DriveExtras(NamedTuple):
     error: str | None = None
 
 
+class ProfileSettings(NamedTuple):
+    """How metrics are computed, as weights say.
+
+    Attributes:
+        against: Reference of the errors, the 'original' or the 'current' trajectory.
+        as_published: Whether the source's slip in heading_err_rate_std_harsh is kept.
+    """
+
+    against: str = "original"
+    as_published: bool = False
+
+
+NO_EXTRAS, DEFAULT_SETTINGS = DriveExtras(), ProfileSettings()
+
+
 def profile_drive(
     recording: Recording,
     course: Course,
     vehicle: GradeVehicle,
-    *,
-    against: str = "original",
-    as_published: bool = False,
-    extras: DriveExtras | None = None,
+    settings: ProfileSettings = DEFAULT_SETTINGS,
+    extras: DriveExtras = NO_EXTRAS,
 ) -> dict[str, MetricValue]:
-    """All metrics of TABLE. against: reference of the errors, the 'original' or the 'current' trajectory."""
-    extras = extras or DriveExtras()
+    """All metrics of TABLE."""
     scales = MetricScales(vehicle.wheelbase_m, vehicle.steer_rad, vehicle.steer_rate_radps, recording.dt_s)
-    if against == "original":
+    if settings.against == "original":
         samples = samples_against_original(recording, course, vehicle.rear_axle_m)
     else:
         samples = samples_from_recording(recording)
@@ -93,7 +105,7 @@ def profile_drive(
         elif row.formula is not None:
             values[name] = summarise_series(row, row.formula(signals, context))
         else:
-            formula = AS_PUBLISHED.get(name, FORMULAS[name]) if as_published else FORMULAS[name]
+            formula = AS_PUBLISHED.get(name, FORMULAS[name]) if settings.as_published else FORMULAS[name]
             if is_formula_planned(formula, plan):
                 values[name] = _evaluate_formula(formula, evaluator)
             else:

@@ -79,6 +79,19 @@ class ScenarioGrade(NamedTuple):
         return data
 
 
+class ScenarioEnd(NamedTuple):
+    """Which scenario was driven, and the name of the error that ended its drive, '' for none.
+
+    Any error scores failure_score, so errors of the bench (not in GRADED_ENDS) must not be graded.
+    """
+
+    scenario: str = ""
+    error: str = ""
+
+
+NAMELESS_END = ScenarioEnd()  # of a drive that came to its end
+
+
 def grade_vehicle_from_spec(spec: VehicleSpec) -> GradeVehicle:
     """Vehicle constants from vehicle.toml. Raises InputError that names a missing one."""
     nominal = spec.nominal
@@ -105,19 +118,13 @@ def grade_drive(
     course: Course,
     weights: WeightsSpec,
     vehicle: GradeVehicle,
-    *,
-    scenario: str = "",
-    error: str = "",
+    end: ScenarioEnd = NAMELESS_END,
 ) -> ScenarioGrade:
     """Grade one drive of `course`.
 
     Leaving the lane and diverging are also detected from the columns. A metric of samples that the course does not
     plan (harsh ones) is None even where a re-plan's blend produced some: the same weights count in every drive of a
     scenario.
-
-    Args:
-        error: Name of the error that ended the drive, '' for none. Any error scores failure_score, so errors of the
-            bench (not in GRADED_ENDS) must not be graded.
 
     Raises:
         InputError: The recording ends early without an error, or no metric is available.
@@ -134,16 +141,18 @@ def grade_drive(
     oscillation = find_oscillations(columns, recording.dt_s, rest_pedal_frac=vehicle.rest_pedal_frac)
     ratios = oscillation_metrics(oscillation, columns, recording.dt_s)
     metrics[PEDAL_ALTERNATION] = ratios.get(PEDAL_ALTERNATION)
-    outcome = error or judge_outcome(original, weights)
+    outcome = end.error or judge_outcome(original, weights)
     replans = _count_replans(recording)
     dropped = tuple(name for name, weight in weights.metrics.items() if weight > 0.0 and metrics[name] is None)
     if outcome != FINISHED:
         score = weights.failure_score
     else:
-        _require_complete(recording, course, scenario)
+        _require_complete(recording, course, end.scenario)
         score = min(weighted_mean(metrics, weights) + weights.replan_penalty * replans, weights.failure_score)
     requirements = measure_requirements(recording, course, original, oscillation, replans)
-    return ScenarioGrade(scenario, score, metrics, replans, outcome, course.ticks, dropped, oscillation, requirements)
+    return ScenarioGrade(
+        end.scenario, score, metrics, replans, outcome, course.ticks, dropped, oscillation, requirements
+    )
 
 
 def planned_metrics(course: Course) -> frozenset[str]:

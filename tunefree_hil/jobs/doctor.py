@@ -11,6 +11,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.command_text import shell_command
 from tunefree_hil.jobs.machine import FAULT, NOTE, OK, DoctorFinding, check_machine
+from tunefree_hil.jobs.options.records import DoctorOptions, TuneOptions
 
 if TYPE_CHECKING:
     from tunefree_hil.config.schema import BenchSpec, VehicleSpec
@@ -20,10 +21,11 @@ FIRST_BENCH = Path("bench_configs/mkz_steer.toml")
 T = TypeVar("T")
 
 
-def doctor(*, vehicle: Path | None, schema: str | None, bus: str, bench: Path | None) -> Iterator[Event]:
-    """One line a finding on stdout; exit 1 on a fault. With `schema` only the JSON Schema is printed."""
-    if schema is not None:
-        yield from _print_schema(schema)
+def doctor(options: DoctorOptions) -> Iterator[Event]:
+    """One line a finding on stdout; exit 1 on a fault. With `options.schema` only the JSON Schema is printed."""
+    vehicle, bench = options.vehicle, options.bench
+    if options.schema is not None:
+        yield from _print_schema(options.schema)
         return
     findings: list[DoctorFinding] = []
     if vehicle is not None:
@@ -31,7 +33,7 @@ def doctor(*, vehicle: Path | None, schema: str | None, bus: str, bench: Path | 
     if bench is not None:
         findings += check_bench_file(bench)
     if vehicle is None and bench is None:
-        findings += check_machine(bus)
+        findings += check_machine(options.bus)
     for finding in findings:
         yield Event("line", f"{finding.kind:<6}{finding.text}")
         if finding.remedy:
@@ -164,7 +166,6 @@ def _check_scenarios(spec: BenchSpec) -> list[DoctorFinding]:
 def _check_start(file: Path, known: Sequence[DoctorFinding]) -> list[DoctorFinding]:
     """Faults that `drive` and `tune` detect before they start a process, without the known ones; each once."""
     from tunefree_hil.bench import ControllerFor, load, parameters_of, require_buildable
-    from tunefree_hil.jobs.options.records import TuneOptions
     from tunefree_hil.jobs.tune.options import make_tune_plan
 
     findings: list[DoctorFinding] = []

@@ -9,29 +9,28 @@ from tunefree_hil.base.clock import Clock
 from tunefree_hil.base.events import Event
 from tunefree_hil.config.load import load_scenario
 from tunefree_hil.config.schema import ScenarioSpec
-from tunefree_hil.jobs.options.nodes import NodeLink
+from tunefree_hil.jobs.options.nodes import EcuOptions, NodeLink
 from tunefree_hil.nodes.ecu import EcuPart
 from tunefree_hil.nodes.exchange import Exchange
 
 LEAD_S = 0.2  # from ready to tick 0
 
 
-def ecu(bench: Path, link: NodeLink, *, model: str | None = None, scenario: str | None = None) -> Iterator[Event]:
+def ecu(bench: Path, options: EcuOptions, link: NodeLink) -> Iterator[Event]:
     """Serve episodes on the bus until the runner ends the node or the bus is lost.
 
-    Args:
-        scenario: Drive this one once in real time, without runner and bench channel, for any sender of command frames
-            (cansend, canplayer, a foreign controller).
+    With `options.scenario` drive that one once in real time, without runner and bench channel, for any sender of
+    command frames (cansend, canplayer, a foreign controller).
     """
     from tunefree_hil.bench import VehicleFor, load
     from tunefree_hil.jobs.running.node_links import open_exchange, timing_folder
     from tunefree_hil.nodes.node import Announcement, Node
     from tunefree_hil.nodes.timing import CycleTimes
 
-    parts = load(bench)
+    parts, scenario = load(bench), options.scenario
     alone = (parts.scenarios.get(scenario) or load_scenario(scenario, parts.file)) if scenario else None
     realtime = link.realtime or alone is not None
-    assign = VehicleFor(parts, model or parts.spec.model, realtime=realtime, ahead=True)
+    assign = VehicleFor(parts, options.model or parts.spec.model, realtime=realtime, ahead=True)
     with open_exchange(parts, "ecu", link._replace(realtime=realtime), alone=alone is not None) as opened:
         exchange, clock, bus_text = opened
         yield Event("note", f"ecu: {parts.vehicle.name} ({assign.model_name}) on {bus_text}")

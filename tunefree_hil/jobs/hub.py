@@ -6,22 +6,19 @@ import contextlib
 from collections.abc import Iterator
 
 from tunefree_hil.base.events import Event
+from tunefree_hil.jobs.options.nodes import HubProcessOptions
 
 
-def hub(*, session: str, clock: str, transport: str, owned: bool) -> Iterator[Event]:
-    """Serve until ended by its owner, or until the owner is lost when `owned`.
+def hub(options: HubProcessOptions) -> Iterator[Event]:
+    """Serve until ended by its owner, or until the owner is lost when `options.owned`.
 
-    In real time (clock = "real") it gets the same scheduling priority as the nodes.
+    In real time (`options.clock` = "real") it gets the same scheduling priority as the nodes.
     """
     from tunefree_hil.bus.tfhub.server.hub import HubOptions
     from tunefree_hil.bus.tfhub.server.serve import serve
     from tunefree_hil.nodes.priority import punctual
 
-    options = HubOptions(
-        transport="tcp" if transport == "tcp" else "unix",
-        clock="real" if clock == "real" else "sender",
-        standalone=not owned,
-    )
-    with punctual() if clock == "real" else contextlib.nullcontext():
-        why = serve(session, options)
-    yield Event("result", "", {"sentence": f"hub {session} ended: {why}", "next": []})
+    served = HubOptions(transport=options.transport, clock=options.clock, standalone=not options.owned)
+    with punctual() if options.clock == "real" else contextlib.nullcontext():
+        why = serve(options.session, served)
+    yield Event("result", "", {"sentence": f"hub {options.session} ended: {why}", "next": []})

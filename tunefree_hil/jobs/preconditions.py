@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench.load import require_current
@@ -14,26 +14,30 @@ if TYPE_CHECKING:
 LOGS_ARE_OF, VEHICLE_IS = "the logs are of", "the vehicle is"
 
 
+class ErrorPlace(NamedTuple):
+    """Where an error is, and what to do. file: '' for the model's own file."""
+
+    hint: str
+    key: str = "vehicle"
+    file: str = ""
+
+
 def require_model_of_vehicle(
-    model: ModelSpec,
-    vehicle: VehicleSpec,
-    key: str = "vehicle",
-    *,
-    hint: str,
-    file: str = "",
-    needed: str = LOGS_ARE_OF,
+    model: ModelSpec, vehicle: VehicleSpec, place: ErrorPlace, needed: str = LOGS_ARE_OF
 ) -> None:
     """Raise InputError for a model of another vehicle, or of an earlier state of the vehicle folder.
 
-    key, file: where the model was named, '' for its own file. needed: what determines the vehicle, for the message.
+    Args:
+        place: Where the model was named.
+        needed: What determines the vehicle, for the message.
     """
     if model.vehicle != vehicle.name:
         raise InputError(
             f"is a model of {model.vehicle!r}, {needed} {vehicle.name!r}",
             code="model_of_other_vehicle",
-            file=file or f"{model.folder}/model.toml",
-            key=key,
-            hint=hint,
+            file=place.file or f"{model.folder}/model.toml",
+            key=place.key,
+            hint=place.hint,
         )
     require_current(model, vehicle)
 

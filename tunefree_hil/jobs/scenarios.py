@@ -9,17 +9,28 @@ from typing import Any
 from tunefree_hil.base.course import Course
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
+from tunefree_hil.jobs.options.records import ScenariosOptions
 
 TICK_S = 0.01  # tick of a course without a vehicle
 MAX_DRAWN = 20  # roads in the figure of a set
 CSV_HEADER = "t_s,x_m,y_m,heading_rad,speed_mps,accel_mps2,curvature_1pm"
 
 
-def scenarios(*, vehicle: str | None, name: str | None) -> Iterator[Event]:
-    """One line a scenario on stdout; with `name` all its details. Exit 1 when `vehicle` cannot drive one."""
+def scenarios(options: ScenariosOptions) -> Iterator[Event]:
+    """List the scenarios, export them with `options.export`, or make roads with `options.roads`."""
+    if options.roads is not None:
+        return make_roads(options, options.roads)
+    if options.export is not None:
+        return export_scenarios(options, options.export)
+    return list_scenarios(options)
+
+
+def list_scenarios(options: ScenariosOptions) -> Iterator[Event]:
+    """One line a scenario on stdout; with a name all its details. Exit 1 when the vehicle cannot drive one."""
     from tunefree_hil.config.find import available
     from tunefree_hil.config.load import load_scenario, load_vehicle
 
+    vehicle, name = options.vehicle, options.name
     spec = load_vehicle(vehicle) if vehicle else None
     rows = [describe_scenario(load_scenario(one), spec) for one in ([name] if name else available("scenario"))]
     for row in rows:
@@ -31,7 +42,7 @@ def scenarios(*, vehicle: str | None, name: str | None) -> Iterator[Event]:
     yield Event("result", "", {**data, "sentence": _summary(len(rows), bad, vehicle)})
 
 
-def export_scenarios(*, vehicle: str | None, name: str | None, folder: Path) -> Iterator[Event]:
+def export_scenarios(options: ScenariosOptions, folder: Path) -> Iterator[Event]:
     """Write each scenario's reference drive for a foreign controller as `folder/<first 12 digits of its hash>.csv`.
 
     The EPISODE message contains these digits. One row a tick (SI); x, y, heading and curvature are those of the path at
@@ -41,7 +52,8 @@ def export_scenarios(*, vehicle: str | None, name: str | None, folder: Path) -> 
     from tunefree_hil.config.load import load_scenario, load_vehicle
     from tunefree_hil.episode.scenario import build_course
 
-    tick_s = load_vehicle(vehicle).tick_ms / 1000.0 if vehicle else TICK_S
+    name = options.name
+    tick_s = load_vehicle(options.vehicle).tick_ms / 1000.0 if options.vehicle else TICK_S
     specs = [load_scenario(one) for one in ([name] if name else available("scenario"))]
     for spec in specs:
         yield Event("line", f"{spec.name:<20}{write_reference_drive(build_course(spec, tick_s), spec.hash, folder)}")
@@ -49,8 +61,12 @@ def export_scenarios(*, vehicle: str | None, name: str | None, folder: Path) -> 
     yield Event("result", sentence, {"sentence": sentence, "folder": str(folder), "next": []})
 
 
-def make_roads(*, vehicle: str | None, roads: str, seed: int, folder: Path | None) -> Iterator[Event]:
-    """Make a set of roads for a vehicle: one line a road; into `folder` as scenario files, the first ones drawn.
+def make_roads(options: ScenariosOptions, text: str) -> Iterator[Event]:
+    """Make a set of roads for a vehicle: one line a road; into `options.out` as scenario files, the first ones drawn.
+
+    Args:
+        options: With the vehicle, the seed and the folder.
+        text: The set, such as families:20.
 
     Raises:
         InputError: No vehicle, an unknown set, or a vehicle that no road fits.
@@ -59,10 +75,11 @@ def make_roads(*, vehicle: str | None, roads: str, seed: int, folder: Path | Non
     from tunefree_hil.config.load import load_vehicle
     from tunefree_hil.roads import road_set, write_roads
 
-    if vehicle is None:
+    folder = options.out
+    if options.vehicle is None:
         raise InputError("roads are made for a vehicle", key="--vehicle", hint="--vehicle mkz_bywire, for example")
-    spec, chosen = load_vehicle(vehicle), parse_road_set(roads)
-    made = road_set(spec, chosen.name, chosen.count, seed)
+    spec, chosen = load_vehicle(options.vehicle), parse_road_set(text)
+    made = road_set(spec, chosen.name, chosen.count, options.seed)
     if folder is not None:
         made = write_roads(folder, made)
     rows = [describe_scenario(road, spec) for road in made]

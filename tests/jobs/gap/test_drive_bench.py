@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
 from tests.bench.tiny import write_bench
 from tests.gap.made_answer import VEHICLE
-from tests.jobs.command import new_session, no_orphans
+from tests.jobs.command import no_orphans
 from tunefree_hil.base.errors import BenchError
 from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.episode.candump import read_candump
@@ -36,9 +37,8 @@ def driven(folder: Path, wish: GapDriveOptions) -> ManoeuvreJob:
 @pytest.mark.slow
 def test_in_this_process_the_frames_are_those_of_the_bus(wish: GapDriveOptions, tmp_path: Path) -> None:
     inside = driven(tmp_path / "inside", wish)
-    session = new_session()
-    with no_orphans(session):
-        outside = driven(tmp_path / "outside", wish._replace(bus="tfhub", session=session))
+    with no_orphans(f"gap-{os.getpid()}"):
+        outside = driven(tmp_path / "outside", wish._replace(bus="tfhub"))
     first, second = ([(one.time_s, one.can_id, one.data) for one in read_candump(job.log)] for job in (inside, outside))
     assert len(first) > 5000 and first == second
     (drive,) = read_drives([inside.log], Codec(VEHICLE))

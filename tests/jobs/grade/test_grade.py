@@ -26,6 +26,7 @@ from tunefree_hil.grade.score import SCORE_METRICS
 from tunefree_hil.grade.table import PUBLISHED
 from tunefree_hil.jobs.grade.grade import grade_log
 from tunefree_hil.jobs.log.convert import convert
+from tunefree_hil.jobs.log.options import LogConvertOptions
 from tunefree_hil.jobs.options.records import GradeOptions
 
 
@@ -91,7 +92,7 @@ def test_a_log_alone_on_another_clock_and_without_a_bench(episode: Path, tmp_pat
 @pytest.mark.parametrize("name", ["blf", "asc"])
 def test_other_formats_give_the_same(name: str, episode: Path, tmp_path: Path) -> None:
     log = tmp_path / f"drive.{name}"
-    list(convert(episode / "vehicle.log", log))
+    list(convert(LogConvertOptions(episode / "vehicle.log", log)))
     _, data = graded(log, tiny(episode), tmp_path / "out", vehicle="mkz_bywire")
     stored = json.loads((episode / "episode.json").read_text())
     assert {metric: data["metrics"][metric]["value"] for metric in SCORE_METRICS} == stored["metrics"]

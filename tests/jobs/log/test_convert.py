@@ -17,6 +17,7 @@ from tunefree_hil.episode.candump import read_rows, write_candump
 from tunefree_hil.jobs.log import convert as log_convert
 from tunefree_hil.jobs.log.convert import convert
 from tunefree_hil.jobs.log.files import load_log, open_log
+from tunefree_hil.jobs.log.options import LogConvertOptions
 
 ROWS = [
     Row(0.0, "can0", 0x123, b"\x01", SENT),
@@ -49,15 +50,15 @@ def ended(events: Sequence[Event]) -> tuple[dict, list[str]]:
 
 @pytest.mark.parametrize("name", ["a.blf", "a.csv", "a.mf4", "a.log"])
 def test_everything_is_kept(source: Path, name: str, tmp_path: Path) -> None:
-    data, warnings = ended(list(convert(source, tmp_path / name)))
+    data, warnings = ended(list(convert(LogConvertOptions(source, tmp_path / name))))
     assert warnings == [] and data["losses"] == [] and data["written"] == data["read"] == 4
     assert list(open_log(tmp_path / name).rows()) == ROWS
-    list(convert(tmp_path / name, tmp_path / "back.log"))
+    list(convert(LogConvertOptions(tmp_path / name, tmp_path / "back.log")))
     assert (tmp_path / "back.log").read_text() == source.read_text()
 
 
 def test_each_loss_is_said_with_its_count(source: Path, tmp_path: Path) -> None:
-    data, warnings = ended(list(convert(source, tmp_path / "a.bag")))
+    data, warnings = ended(list(convert(LogConvertOptions(source, tmp_path / "a.bag"))))
     assert warnings == [
         "ros1: 1 frame: a CAN FD frame is left out: ROS 1 has no message for it",
         "ros1: 1 frame: the direction (sent) is not kept in a ROS bag",
@@ -67,14 +68,14 @@ def test_each_loss_is_said_with_its_count(source: Path, tmp_path: Path) -> None:
 
 def test_rounded_stamps_are_counted(tmp_path: Path) -> None:
     write_candump(tmp_path / "fine.log", [Row(0.1234564, "can0", 1, b""), Row(0.2, "can0", 2, b"")])
-    _, warnings = ended(list(convert(tmp_path / "fine.log", tmp_path / "a.asc")))
+    _, warnings = ended(list(convert(LogConvertOptions(tmp_path / "fine.log", tmp_path / "a.asc"))))
     assert warnings == ["asc: 1 frame: the stamp is rounded, by at most 0.400 us"]
 
 
 def test_frames_of_one_stamp_that_change_places_are_counted(tmp_path: Path) -> None:
     rows = [Row(0.0, "can0", 4, bytes(8), ERROR), Row(0.0, "can0", 1, b"a"), Row(0.5, "can0", 2, b"b")]
     write_candump(tmp_path / "x.log", rows)
-    data, warnings = ended(list(convert(tmp_path / "x.log", tmp_path / "a.mf4")))
+    data, warnings = ended(list(convert(LogConvertOptions(tmp_path / "x.log", tmp_path / "a.mf4"))))
     assert len(warnings) == 1 and warnings[0].startswith("mf4: 2 frames: comes in another place")
     assert data["written"] == 3
 
@@ -83,11 +84,11 @@ def test_frames_of_one_stamp_that_change_places_are_counted(tmp_path: Path) -> N
 def test_every_pair_there_and_back(there: str, tmp_path: Path) -> None:
     """What the first format holds comes back from each other one, but for what that said it would lose."""
     write_candump(tmp_path / "all.log", PLAIN)
-    list(convert(tmp_path / "all.log", tmp_path / f"a.{there}"))
+    list(convert(LogConvertOptions(tmp_path / "all.log", tmp_path / f"a.{there}")))
     held = list(open_log(tmp_path / f"a.{there}").rows())
     for other in PAIRED:
-        list(convert(tmp_path / f"a.{there}", tmp_path / f"b.{other}", to=""))
-        list(convert(tmp_path / f"b.{other}", tmp_path / f"back_{other}.{there}"))
+        list(convert(LogConvertOptions(tmp_path / f"a.{there}", tmp_path / f"b.{other}", to="")))
+        list(convert(LogConvertOptions(tmp_path / f"b.{other}", tmp_path / f"back_{other}.{there}")))
         found = list(open_log(tmp_path / f"back_{other}.{there}").rows())
         assert [row[1:] for row in found] == [row[1:] for row in held], other
         assert [row.time_s for row in found] == pytest.approx([row.time_s for row in held], abs=1e-6, rel=0.0)
@@ -95,7 +96,7 @@ def test_every_pair_there_and_back(there: str, tmp_path: Path) -> None:
 
 
 def test_a_ros2_bag_has_its_own_name_inside(source: Path, tmp_path: Path) -> None:
-    list(convert(source, tmp_path / "drive.ros2"))
+    list(convert(LogConvertOptions(source, tmp_path / "drive.ros2")))
     assert sorted(path.name for path in (tmp_path / "drive.ros2").iterdir()) == ["drive.ros2.db3", "metadata.yaml"]
     assert list(open_log(tmp_path / "drive.ros2" / "drive.ros2.db3").rows()), "one file of it named"
 
@@ -108,7 +109,7 @@ def peak_bytes(frames: int, folder: Path, suffix: str) -> int:
     gc.collect()
     tracemalloc.start()
     try:
-        list(convert(source, folder / f"{frames}.{suffix}"))
+        list(convert(LogConvertOptions(source, folder / f"{frames}.{suffix}")))
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -124,25 +125,25 @@ def test_memory_does_not_grow_with_the_log(suffix: str, tmp_path: Path, monkeypa
 
 
 def test_chosen_channels(source: Path, tmp_path: Path) -> None:
-    data, _ = ended(list(convert(source, tmp_path / "a.log", channels=["can1"])))
+    data, _ = ended(list(convert(LogConvertOptions(source, tmp_path / "a.log", channels=["can1"]))))
     assert data["written"] == 1 and data["not_chosen"] == 3
     assert list(read_rows(tmp_path / "a.log")) == [ROWS[1]]
     with pytest.raises(InputError, match="no channel 'can7'") as caught:
-        list(convert(source, tmp_path / "b.log", channels=["can7"]))
+        list(convert(LogConvertOptions(source, tmp_path / "b.log", channels=["can7"])))
     assert caught.value.hint == "its channels are can0, can1"
 
 
 def test_an_existing_file_is_not_overwritten(source: Path, tmp_path: Path) -> None:
     (tmp_path / "a.blf").write_text("mine")
     with pytest.raises(InputError, match="already exists"):
-        list(convert(source, tmp_path / "a.blf"))
+        list(convert(LogConvertOptions(source, tmp_path / "a.blf")))
     assert (tmp_path / "a.blf").read_text() == "mine"
 
 
 def test_a_target_that_can_hold_nothing(tmp_path: Path) -> None:
     write_candump(tmp_path / "fd.log", [ROWS[1]])
     with pytest.raises(InputError, match="can store none of the 1 frames"):
-        list(convert(tmp_path / "fd.log", tmp_path / "a.bag"))
+        list(convert(LogConvertOptions(tmp_path / "fd.log", tmp_path / "a.bag")))
     assert [path.name for path in tmp_path.iterdir()] == ["fd.log"]
 
 
@@ -152,7 +153,7 @@ def test_a_writer_that_loses_a_frame_is_caught(source: Path, tmp_path: Path, mon
     broken = real._replace(write=lambda path, rows, seen: real.write(path, list(rows)[1:], seen))
     monkeypatch.setattr(log_convert, "_load_format", lambda name: broken)
     with pytest.raises(BenchError, match="does not read back: of frame 0x123 on can0 1 went in and did not come back"):
-        list(convert(source, tmp_path / "a.csv"))
+        list(convert(LogConvertOptions(source, tmp_path / "a.csv")))
     assert [path.name for path in tmp_path.iterdir()] == ["in.log"]
 
 
@@ -163,12 +164,12 @@ def test_a_writer_that_loses_a_frame_is_caught(source: Path, tmp_path: Path, mon
 def test_empty_truncated_and_foreign_logs(text: str, code: str, tmp_path: Path) -> None:
     (tmp_path / "x.log").write_text(text)
     with pytest.raises(InputError) as caught:
-        list(convert(tmp_path / "x.log", tmp_path / "a.blf"))
+        list(convert(LogConvertOptions(tmp_path / "x.log", tmp_path / "a.blf")))
     assert caught.value.code == code and not (tmp_path / "a.blf").exists()
 
 
 def test_any_format_can_be_looked_into(source: Path, tmp_path: Path) -> None:
-    list(convert(source, tmp_path / "a.blf"))
+    list(convert(LogConvertOptions(source, tmp_path / "a.blf")))
     assert load_log(tmp_path / "a.blf") == load_log(source)
 
 
@@ -177,7 +178,7 @@ def test_the_rav4_minute_goes_round(suffix: str, shared_data: Path, tmp_path: Pa
     log = shared_data / "comma2k19_rav4" / "drive.candump.log"
     short = tmp_path / "short.log"
     short.write_text("".join(log.read_text().splitlines(keepends=True)[:4000]))
-    data, warnings = ended(list(convert(short, tmp_path / f"a.{suffix}")))
+    data, warnings = ended(list(convert(LogConvertOptions(short, tmp_path / f"a.{suffix}"))))
     assert warnings == [] and data["written"] == 4000
-    list(convert(tmp_path / f"a.{suffix}", tmp_path / "back.log"))
+    list(convert(LogConvertOptions(tmp_path / f"a.{suffix}", tmp_path / "back.log")))
     assert (tmp_path / "back.log").read_text() == short.read_text()

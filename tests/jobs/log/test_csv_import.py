@@ -20,7 +20,9 @@ from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.jobs.doctor import doctor
 from tunefree_hil.jobs.log.check import check
 from tunefree_hil.jobs.log.csv_import import import_csv
+from tunefree_hil.jobs.log.options import LogCheckOptions, LogImportOptions
 from tunefree_hil.jobs.log.plot import collect_series
+from tunefree_hil.jobs.options.records import DoctorOptions
 from tunefree_hil.learn.drives.read import read_drives
 
 DART = {
@@ -31,7 +33,7 @@ DART = {
 
 def imported(folder: Path, rows: list[dict], **mapping: object) -> tuple[Path, dict, list[str]]:
     mapped = write_map(folder / "m.toml", **mapping)  # type: ignore[arg-type]
-    events = list(import_csv(write_csv(folder / "d.csv", rows), mapped, folder / "out"))
+    events = list(import_csv(LogImportOptions(write_csv(folder / "d.csv", rows), mapped, folder / "out")))
     return folder / "out", events[-1].data, [event.message for event in events if event.kind == "warning"]
 
 
@@ -51,9 +53,9 @@ def test_the_folder_is_whole_and_says_that_it_is_invented(tmp_path: Path) -> Non
     out, _, _ = imported(tmp_path, motion())
     assert "Invented" in (out / "vehicle.dbc").read_text() and "Invented" in (out / "vehicle.toml").read_text()
     assert "made by a test" in (out / "vehicle.dbc").read_text()
-    assert list(doctor(vehicle=out, schema=None, bus="auto", bench=None))[-1].data["exit"] == 0
+    assert list(doctor(DoctorOptions(out)))[-1].data["exit"] == 0
     assert {"report.steer_rad", "command.gear", "report.wheel_speed_radps"} <= set(load_vehicle(out).absent)
-    events = list(check(out / "drive.log", None))
+    events = list(check(LogCheckOptions(out / "drive.log")))
     assert events[-1].data["exit"] == 0, "found beside its log, and whole"
 
 
@@ -65,7 +67,9 @@ def test_wheels_share_a_can_fd_frame(tmp_path: Path) -> None:
     head = 'schema = "tunefree.import/1"\nname = "w"\nsource = "test"\n[clock]\ncolumn = "t"\nunit = "ms"\n'
     (tmp_path / "m.toml").write_text(head + wheels)
     rows: list[dict] = [{"t": 20 * k, "wfl": 60, "wfr": 61, "wrl": 62, "wrr": 63 if k != 3 else ""} for k in range(10)]
-    events = list(import_csv(write_csv(tmp_path / "d.csv", rows), tmp_path / "m.toml", tmp_path / "out"))
+    events = list(
+        import_csv(LogImportOptions(write_csv(tmp_path / "d.csv", rows), tmp_path / "m.toml", tmp_path / "out"))
+    )
     assert events[-1].data["frames"] == 9, "a row without all four is held out"
     found = collect_series(
         read_candump(tmp_path / "out" / "drive.log"), Codec(load_vehicle(tmp_path / "out")), ["report.wheel_rr_radps"]
@@ -85,8 +89,8 @@ def test_a_column_says_when_the_vehicle_obeyed(tmp_path: Path) -> None:
     time_s = np.arange(drive.n_rows) * drive.dt_s
     inside = (time_s > 4.1) & (time_s < 11.9)
     assert drive.enabled[inside].all() and not drive.enabled[(time_s < 3.9) | (time_s > 12.1)].any()
-    assert list(doctor(vehicle=out, schema=None, bus="auto", bench=None))[-1].data["exit"] == 0
-    assert list(check(out / "drive.log", None))[-1].data["exit"] == 0
+    assert list(doctor(DoctorOptions(out)))[-1].data["exit"] == 0
+    assert list(check(LogCheckOptions(out / "drive.log")))[-1].data["exit"] == 0
 
 
 def test_a_column_for_obeying_that_is_not_there_is_named(tmp_path: Path) -> None:
@@ -170,10 +174,10 @@ def test_the_rav4_minute_goes_through(shared_data: Path, repo: Path, tmp_path: P
     log, table = data / "drive.candump.log", tmp_path / "rav4.csv"
     command = [sys.executable, repo / "tools" / "imports" / "rav4_csv.py", table, "--log", log]
     subprocess.run([*command, "--dbc", data / "rav4.dbc"], check=True, capture_output=True, timeout=60)
-    events = list(import_csv(table, repo / "tools" / "imports" / "rav4.toml", tmp_path / "out"))
+    events = list(import_csv(LogImportOptions(table, repo / "tools" / "imports" / "rav4.toml", tmp_path / "out")))
     (wheels,) = [one for one in events[-1].data["plausibility"] if one["check"] == "wheels_and_speed"]
     assert wheels["holds"] and wheels["factor"] == pytest.approx(1.021, abs=0.005), "2.1 % as the data's README says"
-    assert list(check(tmp_path / "out" / "drive.log", None))[-1].data["exit"] == 0
+    assert list(check(LogCheckOptions(tmp_path / "out" / "drive.log")))[-1].data["exit"] == 0
 
     wanted = ["report.speed_mps", "report.steer_rad", "report.wheel_rr_radps", "command.accel_mps2"]
     there, here = Codec(load_vehicle("rav4_2017")), Codec(load_vehicle(tmp_path / "out"))
@@ -188,7 +192,7 @@ def test_the_rav4_minute_goes_through(shared_data: Path, repo: Path, tmp_path: P
     wrong = (repo / "tools" / "imports" / "rav4.toml").read_text().replace('unit = "km/h"', 'unit = "m/s"', 1)
     (tmp_path / "wrong.toml").write_text(wrong)
     with pytest.raises(InputError, match="'speed' in km/h"):
-        list(import_csv(table, tmp_path / "wrong.toml", tmp_path / "out2"))
+        list(import_csv(LogImportOptions(table, tmp_path / "wrong.toml", tmp_path / "out2")))
 
 
 @pytest.mark.parametrize("name", list(DART))
@@ -197,10 +201,10 @@ def test_real_recordings_go_through(name: str, shared_data: Path, repo: Path, tm
     path = shared_data / "dart" / DART[name]
     if not path.is_file():
         pytest.skip(f"no {path.name} of dart in the shared data")
-    events = list(import_csv(path, repo / "tools" / "imports" / f"{name}.toml", tmp_path / "out"))
+    events = list(import_csv(LogImportOptions(path, repo / "tools" / "imports" / f"{name}.toml", tmp_path / "out")))
     found = {one["check"]: one for one in events[-1].data["plausibility"]}
     assert not [one for one in found.values() if one["holds"] is False]
     if name == "dart_100hz":
         assert found["yaw_rate_and_heading"]["holds"] and found["speed_and_path"]["holds"]
-    assert list(check(tmp_path / "out" / "drive.log", None))[-1].data["messages"]
+    assert list(check(LogCheckOptions(tmp_path / "out" / "drive.log")))[-1].data["messages"]
     assert "MIT licence" in (tmp_path / "out" / "vehicle.dbc").read_text()

@@ -12,6 +12,7 @@ from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.figures.signals import Series, broken_at_gaps, draw_signals
+from tunefree_hil.jobs.log.options import LogPlotOptions
 from tunefree_hil.jobs.log.plot import collect_series, plot, resolve_signals, signal_unit
 
 GAP = Series("a", "m/s", np.array([0.0, 0.1, 0.2, 1.2, 1.3]), np.array([1.0, 2.0, 3.0, 4.0, 5.0]), 0.3)
@@ -68,7 +69,7 @@ def test_a_panel_a_unit_and_shaded_silences() -> None:
 
 
 def test_the_picture(log: Path, tmp_path: Path) -> None:
-    events = list(plot(log, "rav4_2017", ["report.speed_mps", "steer_rad"], tmp_path / "a.png"))
+    events = list(plot(LogPlotOptions(log, ["report.speed_mps", "steer_rad"], "rav4_2017", tmp_path / "a.png")))
     assert [event.message for event in events if event.kind == "warning"] == [
         "report.steer_rad does not occur in this log"
     ]
@@ -78,5 +79,5 @@ def test_the_picture(log: Path, tmp_path: Path) -> None:
 
 def test_nothing_to_draw(log: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="none of the signals"):
-        list(plot(log, "rav4_2017", ["steer_rad"], tmp_path / "a.png"))
+        list(plot(LogPlotOptions(log, ["steer_rad"], "rav4_2017", tmp_path / "a.png")))
     assert not (tmp_path / "a.png").exists()

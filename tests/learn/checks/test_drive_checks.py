@@ -32,6 +32,7 @@ from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.formats.rows import Row
 from tunefree_hil.config.load import load_vehicle
 from tunefree_hil.jobs.log.csv_import import import_csv
+from tunefree_hil.jobs.log.options import LogImportOptions
 from tunefree_hil.learn.checks.drive_checks import check_drives
 from tunefree_hil.learn.checks.problem import raise_refusals
 from tunefree_hil.learn.drives.drive import Drive
@@ -247,7 +248,7 @@ def test_dart_is_not_refused(mapping: str, shared_data: Path, tmp_path: Path) ->
             out = tmp_path / folder / path.stem
             out.parent.mkdir(exist_ok=True)
             try:
-                list(import_csv(path, ROOT / "tools" / "imports" / f"{mapping}.toml", out))
+                list(import_csv(LogImportOptions(path, ROOT / "tools" / "imports" / f"{mapping}.toml", out)))
             except InputError as error:
                 assert error.code == "swapped_units"  # some of them do not pass the import's own check
                 continue

@@ -28,7 +28,7 @@ def fit() -> SteeringFit:
 @pytest.fixture
 def file(fit: SteeringFit, tmp_path: Path) -> Path:
     path = tmp_path / "new" / "steering_map.toml"
-    return write_steering_map(path, fit, VEHICLE, SteeringSource.LOGS, {"a.log": "sha256:1"}, describe_assumed(fit))
+    return write_steering_map(path, fit, VEHICLE, SteeringSource.LOGS, {"a.log": "sha256:1"})
 
 
 def test_what_is_written_is_read_again(fit: SteeringFit, file: Path) -> None:
@@ -38,6 +38,7 @@ def test_what_is_written_is_read_again(fit: SteeringFit, file: Path) -> None:
     assert understeer.low == fit.estimates["understeer_s2pm"].low < understeer.value
     assert zone.low is None and zone.assumed == fit.estimates["dead_zone_rad"].why
     assert (spec.samples, spec.blocks) == (len(fit.samples.block), fit.n_blocks)
+    assert spec.notes == describe_assumed(fit) != []
     assert spec.source.kind == "logs" and spec.source.hashes == {"a.log": "sha256:1"}
     assert spec.lateral_accel_bound_mps2 == fit.steering.lateral_accel_bound_mps2
     assert spec.vehicle == VEHICLE.name and spec.path == str(file) and len(spec.hash) == 64

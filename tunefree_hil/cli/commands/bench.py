@@ -3,46 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated
 
 from tunefree_hil.base.events import Event
 from tunefree_hil.cli.options import command
-from tunefree_hil.jobs.options.nodes import NodeLink
-from tunefree_hil.jobs.options.option import DEFAULT_SESSION, BenchFile, Model, Option, Session
+from tunefree_hil.jobs.options.nodes import EcuOptions, HubProcessOptions, NodeLink
+from tunefree_hil.jobs.options.option import BenchFile
 
 
 @command("hub")
-def hub(
-    session: Session = DEFAULT_SESSION,
-    clock: Annotated[
-        str, Option("time stamps: of the sender (lockstep) or real time", choices=("sender", "real"))
-    ] = "sender",
-    transport: Annotated[str, Option("transport of the peers; tcp on loopback only", choices=("unix", "tcp"))] = "unix",
-    owned: Annotated[bool, Option("end with the process that started it")] = False,
-) -> Iterable[Event]:
+def hub(options: HubProcessOptions) -> Iterable[Event]:
     """Carry the frames of one bench and write its logs."""
-    arguments = locals()
-    yield Event("note", f"hub of session {session}")
+    yield Event("note", f"hub of session {options.session}")
     from tunefree_hil.jobs.hub import hub as start
 
-    yield from start(**arguments)
+    yield from start(options)
 
 
 @command("ecu")
-def ecu(
-    bench: BenchFile,
-    *,
-    model: Model = None,
-    link: NodeLink,
-    scenario: Annotated[
-        str | None, Option("without runner: drive this scenario in real time with commands from the bus (canplayer)")
-    ] = None,
-) -> Iterable[Event]:
+def ecu(bench: BenchFile, options: EcuOptions, link: NodeLink) -> Iterable[Event]:
     """Run the simulated by-wire vehicle on the bus."""
     yield Event("note", f"ecu of {bench}")
     from tunefree_hil.jobs.ecu import ecu as start
 
-    yield from start(bench, link, model=model, scenario=scenario)
+    yield from start(bench, options, link)
 
 
 @command("controller")

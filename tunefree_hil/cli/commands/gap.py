@@ -2,34 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from pathlib import Path
+from collections.abc import Iterable
 from typing import Annotated
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
-from tunefree_hil.cli.options import command, record_from
-from tunefree_hil.jobs.options.option import LOGS, VEHICLE, Option
-
-STEPS = ("locate", "name", "repair", "verify")
+from tunefree_hil.cli.options import command
+from tunefree_hil.jobs.gap.options import GapDriveOptions, GapOptions
+from tunefree_hil.jobs.options.option import Option
 
 
 @command("gap")
 def gap(
-    logs: Annotated[Sequence[Path], LOGS],
-    vehicle: Annotated[str, VEHICLE],
-    model: Annotated[str, Option("model folder to compare with the logs")],
-    out: Annotated[Path, Option("folder to write: gap.json, gap.md, figures, model")],
-    older: Annotated[Sequence[Path], Option("a log that the model fitted before; may be repeated", metavar="LOG")] = (),
-    until: Annotated[str, Option("stop after this step", choices=STEPS)] = "verify",
+    options: GapOptions,
+    *,
     drive: Annotated[bool, Option("if several effects are possible, drive what separates them and run again")] = False,
-    bench: Annotated[Path | None, Option("with --drive: bench file; its verify model is driven")] = None,
-    bus: Annotated[
-        str, Option("with --drive: auto, tfhub, socketcan:vcan0, or virtual (within this process)")
-    ] = "auto",
-    workers: Annotated[
-        int, Option("processes of the search; 1 on a machine that others use, too", minimum=1, maximum=8)
-    ] = 2,
+    drive_options: GapDriveOptions,
 ) -> Iterable[Event]:
     """Name the effects that a simulation lacks, and repair it.
 
@@ -38,19 +26,16 @@ def gap(
     effects remain possible, --drive lets a bench drive what separates them. Run the same command again to continue
     after an interruption.
     """
-    arguments = locals()
-    from tunefree_hil.jobs.gap.gap import run_gap
-    from tunefree_hil.jobs.gap.options import GapDriveOptions, GapOptions
-
-    options = record_from(GapOptions, arguments)
     if not drive:
-        if bench is not None:
+        if drive_options.bench is not None:
             message, hint = "--bench has no meaning without --drive", "add --drive, or leave --bench out"
             raise InputError(message, code="usage", key="--bench", hint=hint)
+        from tunefree_hil.jobs.gap.gap import run_gap
+
         return run_gap(options)
-    if bench is None:
+    if drive_options.bench is None:
         hint = "--drive --bench BENCH: its verify model must be the vehicle of the logs"
         raise InputError("--drive needs a bench file", code="usage", key="--drive", hint=hint)
     from tunefree_hil.jobs.gap.drive import run_gap_with_drives
 
-    return run_gap_with_drives(options, record_from(GapDriveOptions, arguments))
+    return run_gap_with_drives(options, drive_options)

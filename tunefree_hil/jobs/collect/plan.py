@@ -18,7 +18,7 @@ from tunefree_hil.config.find import available, find
 from tunefree_hil.config.load import load_model
 from tunefree_hil.config.schema import VehicleSpec
 from tunefree_hil.jobs.options.records import CollectOptions
-from tunefree_hil.jobs.preconditions import VEHICLE_IS, require_model_of_vehicle, require_number
+from tunefree_hil.jobs.preconditions import VEHICLE_IS, ErrorPlace, require_model_of_vehicle, require_number
 from tunefree_hil.jobs.run_folder import RunFolder, find_unfinished, open_run, write_text
 
 MAX_VALUES = {"quota_s": 1e6, "area_m": 1e6, "top_mps": 1e3, "drive_s": 1e6}  # larger values are typing errors
@@ -104,7 +104,7 @@ def require_driven_cells(targets: Sequence[TargetCell], envelope: Envelope, top_
 def run_record(setup: CollectSetup, options: CollectOptions) -> dict[str, Any]:
     """Record for run.json; it must agree for a collection to continue."""
     vehicle, model = setup.vehicle, load_model(setup.model)
-    require_model_of_vehicle(model, vehicle, hint="name a model of this vehicle", needed=VEHICLE_IS)
+    require_model_of_vehicle(model, vehicle, ErrorPlace("name a model of this vehicle"), VEHICLE_IS)
     return {
         "command": "collect",
         "vehicle": vehicle.name,

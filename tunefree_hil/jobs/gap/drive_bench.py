@@ -83,7 +83,6 @@ def _collection_options(options: GapDriveOptions, folder: Path) -> collect_plan.
     return collect_plan.CollectOptions(
         bench=options.bench,
         bus=options.bus,
-        session=options.session,
         out=folder,
         quota_s=QUOTA_S,
         area_m=AREA_M,
@@ -115,7 +114,7 @@ def drive_jobs(run: RunFolder, bench: Bench, jobs: Sequence[ManoeuvreJob], optio
         for job in missing:
             yield from _drive_job(job, lambda scenario, folder: _drive_in_process(bench, scenario, folder), run)
         return
-    session = options.session or f"gap-{os.getpid()}"
+    session = f"gap-{os.getpid()}"
     resolve_vehicle_bus(bench, options.bus, session, "")
     heavy = is_heavy(bench, bench.spec.model)
     with BenchSession(

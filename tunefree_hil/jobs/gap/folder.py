@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.gap import result
+from tunefree_hil.jobs.gap.options import STEPS
 from tunefree_hil.jobs.run_folder import read_json, write_json, write_text
 from tunefree_hil.learn.model_folder import plain_data, require_new_folder
 
@@ -31,7 +32,6 @@ MODEL, FIGURES, PAGE = "model", "figures", "gap.md"
 QUESTION_SCHEMA, ANSWER_SCHEMA = "tunefree.gap_question/1", "tunefree.gap/1"
 LOCK = "gap.lock"
 REQUIRED_KEYS = {"verdict", "sentence", "model", "figures"}  # of every answer
-STEPS = ("locate", "name", "repair", "verify")
 
 
 class GapFolder(NamedTuple):

@@ -32,7 +32,7 @@ from tunefree_hil.jobs.gap.options import GapInputs, GapOptions
 from tunefree_hil.jobs.gap.report import write_page
 from tunefree_hil.jobs.gap.report_text import build_command, describe_answer, list_remarks, suggest_commands
 from tunefree_hil.jobs.learn.logs import read_logs
-from tunefree_hil.jobs.preconditions import require_model_of_vehicle
+from tunefree_hil.jobs.preconditions import ErrorPlace, require_model_of_vehicle
 from tunefree_hil.jobs.progress import progress_data, relay_events
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def load_checked_model(name: str, vehicle: VehicleSpec) -> ModelSpec:
     from tunefree_hil.config.load import load_model
 
     model = load_model(name)
-    require_model_of_vehicle(model, vehicle, hint="name a model of the logs' vehicle")
+    require_model_of_vehicle(model, vehicle, ErrorPlace("name a model of the logs' vehicle"))
     require_buildable_model(model, vehicle)
     return model
 

@@ -195,7 +195,7 @@ def build_command(
     command = shell_command("gap", *options.logs, *more_logs, **changed_options(repeated, skip=["logs"]))
     if drive is None:
         return command
-    return f"{command} {shlex.join(option_arguments(drive=True, **changed_options(drive, skip=['session'])))}"
+    return f"{command} {shlex.join(option_arguments(drive=True, **changed_options(drive)))}"
 
 
 def suggest_commands(

@@ -19,6 +19,7 @@ from tunefree_hil.grade.oscillation.report import OscillationReport, findings_as
 from tunefree_hil.grade.profile import (
     DriveExtras,
     MetricValue,
+    ProfileSettings,
     find_drive_oscillations,
     find_steering_residual,
     profile_drive,
@@ -27,6 +28,7 @@ from tunefree_hil.grade.reference import ReferencePath, read_reference
 from tunefree_hil.grade.score import (
     MAX_MISSING_TICKS,
     GradeVehicle,
+    ScenarioEnd,
     ScenarioGrade,
     grade_drive,
     grade_vehicle_from_spec,
@@ -67,9 +69,8 @@ def grade_log(log: Path, options: GradeOptions) -> Iterator[Event]:
         drive.recording,
         drive.course,
         car,
-        against=weighing.against,
-        as_published=weighing.as_published,
-        extras=extras,
+        ProfileSettings(weighing.against, weighing.as_published),
+        extras,
     )
     oscillation = find_drive_oscillations(drive.recording, drive.course, car)
     yield from (Event("line", line) for line in (*metric_lines(values), *oscillation_lines(oscillation)))
@@ -167,7 +168,7 @@ def _score(
         logged_s, planned_s = recording.ticks * recording.dt_s, course.ticks * course.dt_s
         return None, f"no score: the log contains {logged_s:.1f} s of the planned {planned_s:.1f} s"
     try:
-        graded = grade_drive(recording, course, weights, car, scenario=name, error=extras.error or "")
+        graded = grade_drive(recording, course, weights, car, ScenarioEnd(name, extras.error or ""))
     except InputError as error:
         if error.code != "nothing_to_grade":
             raise

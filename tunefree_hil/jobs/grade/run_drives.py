@@ -15,8 +15,8 @@ from tunefree_hil.bench import Bench, load
 from tunefree_hil.config.load import load_weights
 from tunefree_hil.config.schema import WeightsSpec
 from tunefree_hil.episode.recording import Recording, load_recording
-from tunefree_hil.grade.profile import MetricValue, combine_profiles, profile_drive
-from tunefree_hil.grade.score import FINISHED, grade_drive, grade_vehicle_from_spec
+from tunefree_hil.grade.profile import MetricValue, ProfileSettings, combine_profiles, profile_drive
+from tunefree_hil.grade.score import FINISHED, ScenarioEnd, grade_drive, grade_vehicle_from_spec
 from tunefree_hil.grade.table import TABLE
 from tunefree_hil.jobs.drive import find_scenario
 from tunefree_hil.jobs.log.drive import read_extras
@@ -148,10 +148,9 @@ def _read_episode(run: RunFolder, bench: Bench, number: int, weights: WeightsSpe
         )
     recording, extras = load_recording(folder / "columns.npz"), read_extras(folder)
     course, car = bench.course(scenario), grade_vehicle_from_spec(bench.vehicle)
-    graded = grade_drive(recording, course, weights, car, scenario=scenario.name, error=extras.error or "")
-    values = profile_drive(
-        recording, course, car, against=weights.against, as_published=weights.as_published, extras=extras
-    )
+    graded = grade_drive(recording, course, weights, car, ScenarioEnd(scenario.name, extras.error or ""))
+    settings = ProfileSettings(weights.against, weights.as_published)
+    values = profile_drive(recording, course, car, settings, extras)
     return ProfiledDrive(
         scenario.name, scenario.hash, values, graded.score, graded.replans, graded.outcome, course.ticks, recording
     )

@@ -16,7 +16,7 @@ from tunefree_hil.jobs.learn import calibration
 from tunefree_hil.jobs.learn.logs import read_logs
 from tunefree_hil.jobs.learn.options import LearnOptions
 from tunefree_hil.jobs.learn.steering import copy_steering_map, learn_steering_of_folder
-from tunefree_hil.jobs.preconditions import require_model_of_vehicle, require_number
+from tunefree_hil.jobs.preconditions import ErrorPlace, require_model_of_vehicle, require_number
 from tunefree_hil.jobs.progress import relay_events
 from tunefree_hil.learn.drives.drive import Drive, DriveSplit
 from tunefree_hil.learn.evaluation.free_run import FreeRunErrors
@@ -173,7 +173,7 @@ def load_physics(folder: Path, vehicle: VehicleSpec) -> ModelSpec:
             key="--physics",
             hint=hint,
         )
-    require_model_of_vehicle(model, vehicle, "--physics", hint=hint)
+    require_model_of_vehicle(model, vehicle, ErrorPlace(hint, "--physics"))
     return model
 
 

@@ -23,7 +23,7 @@ from tunefree_hil.jobs.learn.steering import (
     result_of,
     steering_target,
 )
-from tunefree_hil.jobs.preconditions import require_model_of_vehicle
+from tunefree_hil.jobs.preconditions import ErrorPlace, require_model_of_vehicle
 from tunefree_hil.jobs.progress import count_data, relay_events
 from tunefree_hil.learn.drives.drive import Drive
 from tunefree_hil.learn.open_loop_map.build import GatheredSamples, LearnedMap, MapProgress, gather_samples, learn_map
@@ -92,7 +92,7 @@ def resolve_target(out: Path, vehicle: VehicleSpec) -> Path:
 
         model = load_model(out)
         hint = "name a model folder of the same vehicle, or another folder"
-        require_model_of_vehicle(model, vehicle, "--out", hint=hint, file=str(out))
+        require_model_of_vehicle(model, vehicle, ErrorPlace(hint, "--out", str(out)))
     return out / MAP_FILE
 
 

@@ -22,7 +22,7 @@ from tunefree_hil.control.steering_map import (
     with_geometry,
 )
 from tunefree_hil.jobs.learn.options import MapOptions
-from tunefree_hil.jobs.preconditions import require_model_of_vehicle
+from tunefree_hil.jobs.preconditions import VEHICLE_IS, ErrorPlace, require_model_of_vehicle
 from tunefree_hil.learn.drives.drive import Drive
 from tunefree_hil.learn.steering_map.file import (
     SteeringSource,
@@ -72,7 +72,7 @@ def learn_steering_of_logs(
     yield Event("note", f"steering map: {describe_fit(fit)}")
     if assumed:
         yield Event("note", f"steering map, assumed: {'; '.join(assumed)}")
-    write_steering_map(target, fit, vehicle, SteeringSource.LOGS, hashes_of_drives(drives), assumed)
+    write_steering_map(target, fit, vehicle, SteeringSource.LOGS, hashes_of_drives(drives))
     return {"steering_map": str(target), "figures": [str(draw_steering_figure(figure, fit))]}
 
 
@@ -102,7 +102,7 @@ def map_model(options: MapOptions) -> Iterator[Event]:
     from tunefree_hil.jobs.learn.steady_turns import drive_steady_turns, make_turn_bench
 
     vehicle, model = load_vehicle(options.vehicle), load_model(options.logs[0])
-    require_model_of_vehicle(model, vehicle, "LOG", hint="name a model of the vehicle", needed="the vehicle is")
+    require_model_of_vehicle(model, vehicle, ErrorPlace("name a model of the vehicle", "LOG"), VEHICLE_IS)
     target = steering_target(options.out)
     yield Event("note", f"steady turns of {model.folder} in simulation")
     drives = drive_steady_turns(make_turn_bench(model, vehicle))
@@ -116,7 +116,7 @@ def map_model(options: MapOptions) -> Iterator[Event]:
             hint="learn the steering map from logs instead",
         )
     hashes = {Path(model.folder).name: f"sha256:{model.hash}"}
-    write_steering_map(target, fit, vehicle, SteeringSource.MODEL, hashes, assumed)
+    write_steering_map(target, fit, vehicle, SteeringSource.MODEL, hashes)
     figure = draw_steering_figure(target.with_suffix(".png"), fit)
     sentence = f"steering map in {target}: {describe_fit(fit)}"
     yield Event("result", "", {"steering_map": str(target), "figures": [str(figure)], "sentence": sentence})

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tunefree_hil.base.events import Event
 from tunefree_hil.jobs.log.files import codec_for_log, describe_cut, has_vehicle_channels, open_log
+from tunefree_hil.jobs.log.options import LogCheckOptions
 
 if TYPE_CHECKING:
     from tunefree_hil.bus.dbc.codec import Codec
@@ -16,7 +16,7 @@ HEAD = f"{'message':<24}{'id':>11}{'frames':>8}{'Hz':>8}{'nominal':>8}{'gap ms':
 HEAD += f"{'late':>6}{'lost':>6}{'short':>7}{'crc':>5}"
 
 
-def check(path: Path, vehicle: str | None) -> Iterator[Event]:
+def check(options: LogCheckOptions) -> Iterator[Event]:
     """One line a message on stdout, then the faults. Exit 1 on a fault.
 
     Columns: measured and nominal rate, longest gap, gaps above 1.5 periods, frames lost by their counter, frames
@@ -24,9 +24,9 @@ def check(path: Path, vehicle: str | None) -> Iterator[Event]:
     """
     from tunefree_hil.bus.recording.log_check import check_frames
 
-    codec, where = codec_for_log(path, vehicle)
-    yield Event("note", f"{path}, read as {where}")
-    log = open_log(path)
+    codec, where = codec_for_log(options.path, options.vehicle)
+    yield Event("note", f"{options.path}, read as {where}")
+    log = open_log(options.path)
     health = check_frames(log.frames(), codec, has_vehicle_channels(log.frames(), codec))
     yield Event("line", HEAD)
     for row in health.messages:

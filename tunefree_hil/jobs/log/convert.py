@@ -18,26 +18,25 @@ from tunefree_hil.bus.formats.find import CANDUMP, format_for, load_format
 from tunefree_hil.bus.formats.rows import Format, FormatLoss, Lost, Row, Survey, change, survey
 from tunefree_hil.episode.candump import read_rows, write_candump
 from tunefree_hil.jobs.log.files import LogFile, open_log
+from tunefree_hil.jobs.log.options import LogConvertOptions
 
 
-def convert(source: Path, target: Path, *, channels: Sequence[str] = (), to: str = "") -> Iterator[Event]:
-    """Write `target` in the format of its suffix (or `to`); a warning for each kind of loss.
-
-    Args:
-        channels: Convert only these; empty for all.
+def convert(options: LogConvertOptions) -> Iterator[Event]:
+    """Write the target in the format of its suffix (or `options.to`); a warning for each kind of loss.
 
     Raises:
-        InputError: There is nothing to write, or `target` already exists.
+        InputError: There is nothing to write, or the target already exists.
         BenchError: The written file differs from the source when it is read back.
     """
-    name = format_for(target, to)
+    source, target = options.source, options.target
+    name = format_for(target, options.to)
     if target.exists():
         raise InputError("already exists", code="exists", file=str(target), hint="choose another name, or move it")
     form = _load_format(name)
     log = open_log(source)
     whole = survey(log.rows())
     yield Event("note", f"{source}: {log.format}, {whole.frames} frames on {', '.join(sorted(whole.channels))}")
-    selected = _select_channels(log, whole, channels)
+    selected = _select_channels(log, whole, options.channels)
     written, losses = _write(form, target, log, selected)
     for loss in losses:
         yield Event("warning", f"{name}: {loss}")

@@ -25,6 +25,7 @@ from tunefree_hil.episode.candump import write_candump
 from tunefree_hil.episode.csv_drive import CsvDrive, read_csv_drive
 from tunefree_hil.episode.plausible import Finding, check_units
 from tunefree_hil.jobs.command_text import shell_command
+from tunefree_hil.jobs.log.options import LogImportOptions
 from tunefree_hil.jobs.log.vehicle import vehicle_table
 
 if TYPE_CHECKING:
@@ -43,11 +44,12 @@ HEAD = """\
 """
 
 
-def import_csv(path: Path, mapping: Path, out: Path) -> Iterator[Event]:
-    """Write `out`/drive.log, vehicle.toml, vehicle.dbc and import.json. Gaps and empty cells are reported, not filled.
+def import_csv(options: LogImportOptions) -> Iterator[Event]:
+    """Write drive.log, vehicle.toml, vehicle.dbc and import.json. Gaps and empty cells are reported, not filled.
 
     Raises InputError for rows out of order, and for columns with contradictory units.
     """
+    path, mapping, out = options
     spec = load_import(mapping)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError("already exists", code="exists", file=str(out), hint="choose another folder, or move it")

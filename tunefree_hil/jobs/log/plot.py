@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.episode.candump import LogFrame
 from tunefree_hil.jobs.log.files import codec_for_log, describe_cut, has_vehicle_channels, open_log
+from tunefree_hil.jobs.log.options import LogPlotOptions
 from tunefree_hil.jobs.log.show import field_names, find_message, full_names, known_names, require_known_signal
 
 if TYPE_CHECKING:
@@ -31,13 +31,14 @@ UNITS = {
 }
 
 
-def plot(path: Path, vehicle: str | None, signals: Sequence[str], out: Path | None) -> Iterator[Event]:
+def plot(options: LogPlotOptions) -> Iterator[Event]:
     """Write a PNG (default: beside the log) of record fields ('report.speed_mps') or signals ('MESSAGE.SIGNAL')."""
     from tunefree_hil.figures.signals import Series, draw_signals
     from tunefree_hil.figures.style import save
 
-    codec, where = codec_for_log(path, vehicle)
-    wanted = [chosen for name in signals for chosen in resolve_signals(name, codec)]
+    path = options.path
+    codec, where = codec_for_log(path, options.vehicle)
+    wanted = [chosen for name in options.signals for chosen in resolve_signals(name, codec)]
     if not wanted:
         raise InputError("no signal is named", code="no_signal", key="SIGNALS", hint="for example report.speed_mps")
     log = open_log(path)
@@ -53,7 +54,7 @@ def plot(path: Path, vehicle: str | None, signals: Sequence[str], out: Path | No
         yield Event("warning", f"{name} does not occur in this log")
     if len(silent) == len(series):
         raise InputError("none of the signals occurs in this log", code="never_heard", file=str(path), key="SIGNALS")
-    target = save(draw_signals(f"{path.name}: {codec.name}", series), out or path.with_suffix(".png"))
+    target = save(draw_signals(f"{path.name}: {codec.name}", series), options.out or path.with_suffix(".png"))
     data = {"figure": str(target), "values": {one.name: int(one.values.size) for one in series}, "vehicle": where}
     yield Event("result", "", {**data, "sentence": f"{len(series) - len(silent)} signals drawn in {target}"})
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tunefree_hil.base.errors import InputError
@@ -11,22 +10,25 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.episode.candump import ERROR, EXTENDED_BIT, RTR, LogFrame
 from tunefree_hil.jobs.log.files import codec_for_log, describe_cut, has_vehicle_channels, open_log
+from tunefree_hil.jobs.log.options import LogShowOptions
 
 if TYPE_CHECKING:
     from tunefree_hil.bus.dbc.codec import Codec, MessageMap
 
 
-def show(path: Path, vehicle: str | None, signals: Sequence[str]) -> Iterator[Event]:
+def show(options: LogShowOptions) -> Iterator[Event]:
     """One line a frame on stdout: physical values of the DBC, then record fields in SI.
 
-    signals: signal names or record fields ('speed_mps', 'report.speed_mps'); frames without them are left out.
+    `options.signals` has signal names or record fields ('speed_mps', 'report.speed_mps'); frames without them are left
+    out.
     """
-    codec, where = codec_for_log(path, vehicle)
-    yield Event("note", f"{path}, read as {where}")
+    signals = options.signals
+    codec, where = codec_for_log(options.path, options.vehicle)
+    yield Event("note", f"{options.path}, read as {where}")
     known = known_names(codec)
     for name in signals:
         require_known_signal(name, known, codec.name)
-    log = open_log(path)
+    log = open_log(options.path)
     if log.cut_line:
         yield Event("warning", describe_cut(log))
     shown, count, apart = 0, 0, has_vehicle_channels(log.frames(), codec)

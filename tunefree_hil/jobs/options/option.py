@@ -19,6 +19,7 @@ class Option(NamedTuple):
         minimum: Smallest number allowed.
         maximum: Largest number allowed.
         choices: The texts allowed; empty for any.
+        last: Whether `--help` lists it after the options of the other records.
     """
 
     help: str
@@ -27,6 +28,7 @@ class Option(NamedTuple):
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
+    last: bool = False
 
 
 class Argument(NamedTuple):

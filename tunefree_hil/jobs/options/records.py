@@ -1,4 +1,4 @@
-"""The options of `drive`, `tune`, `verify`, `replay`, `collect`, `grade`, `compare`, `explain` and `commission`."""
+"""The options of the commands whose job has no module of its own for them."""
 
 from __future__ import annotations
 
@@ -193,3 +193,23 @@ class CommissionOptions(NamedTuple):
     least_covered: Annotated[float, Option("stop below this share of full cells")] = 0.8
     most_error_m: Annotated[float, Option("stop above this error after 10 s of free run")] = 15.0
     most_outside: Annotated[float, Option("stop above this share outside the valid region")] = 0.25
+
+
+class ScenariosOptions(NamedTuple):
+    """The options of `scenarios`. `seed` and `out` are for `roads`."""
+
+    name: Annotated[str | None, Argument("show this scenario in full")] = None
+    vehicle: Vehicle = None
+    export: Annotated[Path | None, Option("write each reference trajectory as CSV into this folder")] = None
+    roads: Annotated[str | None, Option("make a set of roads instead: families:20, public229, ...")] = None
+    seed: Annotated[int, Option("with --roads: draws the roads", minimum=0)] = 1
+    out: Annotated[Path | None, Option("with --roads: write them and a figure into this folder")] = None
+
+
+class DoctorOptions(NamedTuple):
+    """The options of `doctor`. Without vehicle, bench and schema the machine is checked, with its `bus`."""
+
+    vehicle: Annotated[Path | None, Option("check a vehicle folder; lists all errors")] = None
+    schema: Annotated[str | None, Option("print the JSON Schema of a file: vehicle, bench, ...")] = None
+    bus: Bus = "auto"
+    bench: Annotated[Path | None, Option("check a bench file and all files that it names")] = None

@@ -15,7 +15,7 @@ from tunefree_hil.episode.columns import columns_from_placed, place_vehicle
 from tunefree_hil.episode.frame_hash import hash_of
 from tunefree_hil.episode.real_time import run_zero_s
 from tunefree_hil.episode.recording import Recording, save_recording
-from tunefree_hil.grade.score import ScenarioGrade, combine_scores, grade_drive, grade_vehicle_from_spec
+from tunefree_hil.grade.score import ScenarioEnd, ScenarioGrade, combine_scores, grade_drive, grade_vehicle_from_spec
 from tunefree_hil.jobs.run_folder import write_json
 from tunefree_hil.nodes.reception import in_words
 from tunefree_hil.nodes.runner import Outcome
@@ -55,7 +55,7 @@ def read_episode(bench: Bench, driven: DrivenEpisode) -> EpisodeResult:
     )
     save_recording(recording, folder / "columns.npz")
     course, car = bench.course(scenario), grade_vehicle_from_spec(bench.vehicle)
-    graded = grade_drive(recording, course, bench.weights, car, scenario=scenario.name, error=outcome.error)
+    graded = grade_drive(recording, course, bench.weights, car, ScenarioEnd(scenario.name, outcome.error))
     write_json(folder / "episode.json", _summary(driven, graded, hashed.hex))
     return EpisodeResult(recording, graded, hashed.hex, dict(hashed.foreign), outcome.error_code)
 

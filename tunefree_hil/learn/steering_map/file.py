@@ -35,18 +35,12 @@ class SteeringSource(Enum):
 
 
 def write_steering_map(
-    path: Path,
-    fit: SteeringFit,
-    vehicle: VehicleSpec,
-    source: SteeringSource,
-    hashes: Mapping[str, str],
-    notes: Sequence[str] = (),
+    path: Path, fit: SteeringFit, vehicle: VehicleSpec, source: SteeringSource, hashes: Mapping[str, str]
 ) -> Path:
     """Write the file, whole or not at all.
 
     Args:
         hashes: 'sha256:...' of each log, or of the model, by name.
-        notes: What the data could not tell.
     """
     steering, covered = fit.steering, fit.coverage
     data = {
@@ -58,7 +52,7 @@ def write_steering_map(
         "residual_rad": fit.residual_rad,
         "curvature_bound_1pm": steering.curvature_bound_1pm,
         "lateral_accel_bound_mps2": steering.lateral_accel_bound_mps2,
-        "notes": list(notes),
+        "notes": describe_assumed(fit),
         "source": {"kind": source.value, "hashes": dict(hashes)},
         "covered": {
             "speed_mps": [covered.speed_low_mps, covered.speed_high_mps],

@@ -117,6 +117,15 @@ class TurnGeometry(NamedTuple):
     lateral_mps2: Array
 
 
+class _SteadyTurns(NamedTuple):
+    """What a fit is made of. base: values of what is not fitted."""
+
+    samples: SteadySamples
+    geometry: TurnGeometry
+    coverage: SteeringCoverage
+    base: SteeringMap
+
+
 class _Solved(NamedTuple):
     """A regression of the wheel angle and its terms in the order of the columns; `used` samples are not near zero."""
 
@@ -137,11 +146,11 @@ def fit_steering_map(samples: SteadySamples, base: SteeringMap, base_label: str)
     geometry = locate_turns(samples, base)
     coverage = measure_coverage(samples, geometry.curvature_1pm, geometry.lateral_mps2, base)
     reasons: dict[SteeringTerm, str] = {}
-    slip = _fit_rear_slip(samples, geometry, coverage, base, reasons)
+    slip = _fit_rear_slip(_SteadyTurns(samples, geometry, coverage, base), reasons)
     if slip is not None:
         base = base._replace(rear_slip_s2pm=slip.value)
         geometry = locate_turns(samples, base)
-    solved = _fit_wheel(samples, geometry, coverage, base, reasons)
+    solved = _fit_wheel(_SteadyTurns(samples, geometry, coverage, base), reasons)
     steering = base if solved is None else solved.value
     terms = () if solved is None else solved.terms
     steering = steering._replace(
@@ -149,7 +158,9 @@ def fit_steering_map(samples: SteadySamples, base: SteeringMap, base_label: str)
         lateral_accel_bound_mps2=coverage.lateral_accel_mps2,
     )
     replicates = () if solved is None else tuple(_with_bounds(one, steering) for one in solved.replicates)
-    estimates = _estimates(steering, terms, replicates, slip, reasons, base_label)
+    fitted = {term: _estimate_term(steering, replicates, term) for term in terms}
+    fitted |= {} if slip is None else {SteeringTerm.REAR_SLIP: slip}
+    estimates = _list_estimates(steering, fitted, reasons, base_label)
     residual = float(np.sqrt(np.mean(solved.regression.residuals**2))) if solved is not None else 0.0
     n_blocks = len(np.unique(samples.block))
     return SteeringFit(steering, estimates, coverage, replicates, residual, samples, n_blocks)
@@ -183,14 +194,9 @@ def locate_turns(samples: SteadySamples, base: SteeringMap) -> TurnGeometry:
     return TurnGeometry(curvature, v * v * curvature)
 
 
-def _fit_rear_slip(
-    samples: SteadySamples,
-    geometry: TurnGeometry,
-    coverage: SteeringCoverage,
-    base: SteeringMap,
-    reasons: dict[SteeringTerm, str],
-) -> Estimate | None:
+def _fit_rear_slip(turns: _SteadyTurns, reasons: dict[SteeringTerm, str]) -> Estimate | None:
     """Slip angle of the rear axle per lateral acceleration, with a constant for how the INS is mounted."""
+    samples, coverage = turns.samples, turns.coverage
     rows = np.isfinite(samples.rear_slip_rad)
     if not rows.any():
         reasons[SteeringTerm.REAR_SLIP] = "no position and heading of the rear axle in the data"
@@ -199,7 +205,7 @@ def _fit_rear_slip(
         reasons[SteeringTerm.REAR_SLIP] = why
         return None
     slip = samples.select(rows)
-    lateral = geometry.lateral_mps2[rows]
+    lateral = turns.geometry.lateral_mps2[rows]
     columns = np.stack([-lateral, np.ones(len(lateral)), slip.yaw_accel_radps2], axis=1)
     weights = slip.speed_mps**2 / np.mean(slip.speed_mps**2)  # the course is the better the longer the way
     fit = fit_blocks(columns, slip.rear_slip_rad, slip.block, SLIP_FLOOR_RAD, weights)
@@ -237,18 +243,13 @@ def _candidates(coverage: SteeringCoverage, reasons: dict[SteeringTerm, str]) ->
     return tuple(term for term in needs if term not in missing)
 
 
-def _fit_wheel(
-    samples: SteadySamples,
-    geometry: TurnGeometry,
-    coverage: SteeringCoverage,
-    base: SteeringMap,
-    reasons: dict[SteeringTerm, str],
-) -> _Solved | None:
+def _fit_wheel(turns: _SteadyTurns, reasons: dict[SteeringTerm, str]) -> _Solved | None:
     """Fit all covered terms, and drop one after the other until each is worth its place; None without any."""
+    coverage = turns.coverage
     terms = _without_lone_ratio(_candidates(coverage, reasons), coverage, reasons)
     while terms:
-        solved = _solve(terms, samples, geometry, coverage, base)
-        weak = _weakest(solved, base)
+        solved = _solve(terms, turns)
+        weak = _weakest(solved, turns.base)
         if weak is None:
             return solved
         reasons[weak.term] = weak.reason
@@ -269,35 +270,27 @@ def _without_lone_ratio(
     return tuple(term for term in terms if term in kept)
 
 
-def _solve(
-    terms: tuple[SteeringTerm, ...],
-    samples: SteadySamples,
-    geometry: TurnGeometry,
-    coverage: SteeringCoverage,
-    base: SteeringMap,
-) -> _Solved:
+def _solve(terms: tuple[SteeringTerm, ...], turns: _SteadyTurns) -> _Solved:
     """One regression; with a dead zone on the samples beyond it, whose width follows from the solution."""
-    rows = np.ones(len(samples.block), dtype=bool)
+    rows = np.ones(len(turns.samples.block), dtype=bool)
     zone_rad = START_ZONE_RAD if SteeringTerm.DEAD_ZONE in terms else 0.0
     for _ in range(ZONE_ROUNDS if zone_rad else 1):
         if zone_rad:
-            angle = base.steer_ratio * base.length_m * geometry.curvature_1pm
+            angle = turns.base.steer_ratio * turns.base.length_m * turns.geometry.curvature_1pm
             rows = np.abs(angle) > CRITERIA.dead_zone_spans * zone_rad
-        solved = _regress(terms, samples, geometry, coverage, base, rows)
+        solved = _regress(terms, turns, rows)
         zone_rad = min(max(solved.value.dead_zone_rad, CRITERIA.min_dead_zone_rad), CRITERIA.max_dead_zone_rad)
         zone_rad = zone_rad if SteeringTerm.DEAD_ZONE in terms else 0.0
     return solved
 
 
-def _regress(
-    terms: tuple[SteeringTerm, ...],
-    samples: SteadySamples,
-    geometry: TurnGeometry,
-    coverage: SteeringCoverage,
-    base: SteeringMap,
-    rows: Array,
-) -> _Solved:
-    """The regression of the wheel angle on these terms and on slow changes of the turn."""
+def _regress(terms: tuple[SteeringTerm, ...], turns: _SteadyTurns, rows: Array) -> _Solved:
+    """The regression of the wheel angle on these terms and on slow changes of the turn.
+
+    Args:
+        rows: The samples to use, bool (n_samples,).
+    """
+    samples, geometry, coverage, base = turns
     samples = samples.select(rows)
     kappa, lateral = geometry.curvature_1pm[rows], geometry.lateral_mps2[rows]
     columns = {
@@ -393,26 +386,23 @@ def _with_bounds(steering: SteeringMap, bounds: SteeringMap) -> SteeringMap:
     )
 
 
-def _estimates(
+def _estimate_term(steering: SteeringMap, replicates: Sequence[SteeringMap], term: SteeringTerm) -> Estimate:
+    """A fitted coefficient with its interval."""
+    value, half = getattr(steering, term.value), _half_width(replicates, term.value)
+    return Estimate(value, value - half, value + half)
+
+
+def _list_estimates(
     steering: SteeringMap,
-    terms: Sequence[SteeringTerm],
-    replicates: Sequence[SteeringMap],
-    slip: Estimate | None,
+    fitted: Mapping[SteeringTerm, Estimate],
     reasons: Mapping[SteeringTerm, str],
     base_label: str,
 ) -> dict[str, Estimate]:
     """The coefficients with intervals or reasons, in the order of SteeringMap."""
-    fitted = {term.value for term in terms}
+    by_name = {term.value: estimate for term, estimate in fitted.items()}
     why = {term.value: f"{base_label}: {reason}" for term, reason in reasons.items()} | NEVER_FITTED
-    estimates: dict[str, Estimate] = {}
-    for name, value in steering._asdict().items():
-        if name in BOUNDS:
-            continue
-        if name == SteeringTerm.REAR_SLIP.value and slip is not None:
-            estimates[name] = slip
-        elif name in fitted:
-            half = _half_width(replicates, name)
-            estimates[name] = Estimate(value, value - half, value + half)
-        else:
-            estimates[name] = Estimate(value, value, value, False, why.get(name, base_label))
-    return estimates
+    return {
+        name: by_name.get(name) or Estimate(value, value, value, False, why.get(name, base_label))
+        for name, value in steering._asdict().items()
+        if name not in BOUNDS
+    }
