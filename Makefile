@@ -1,4 +1,4 @@
-# make tune   install what is needed into .venv, then tune the steering on a learned car (ARGS= passes more)
+# make tune   install what is needed into .venv, then tune a learned car over its whole envelope (ARGS= passes more)
 # make test   install the extras too (torch among them), then run every test but those that need a kernel with CAN,
 #             a PostgreSQL server, a C compiler, or long compiling, training or calibrating, and the slow ones of
 #             tools/ (.ci/run runs them)
@@ -6,7 +6,7 @@
 # make venv   install only, and compile the simulated cars of BENCH
 
 PYTHON ?= python3
-BENCH ?= bench_configs/mkz_learned.toml
+BENCH ?= bench_configs/mkz_envelope.toml
 ARGS ?=
 PIP = .venv/bin/python -m pip --disable-pip-version-check --quiet --quiet
 

@@ -85,6 +85,7 @@ kind = "physics"
 [valid]
 speed_mps = [0.0, 10.0]
 """
+PREVIEW = '[controller]\nlongitudinal = "pid_preview"\n[controller.parameters]\n'
 TEXTS = {"scenario": SCENARIO, "weights": WEIGHTS, "bench": BENCH, "model": MODEL}
 
 
@@ -176,7 +177,7 @@ MISTAKES = [
     ("bench", "low = 0.01", "low = 0.0", "tune.parameters[0].low", "log scale", "linear"),
     ("bench", "trials = 10", "trials = 0", "tune.trials", "below 1", ""),
     ("bench", "trials = 10", 'set = "all"', "tune.set", "'complete'", ""),
-    ("bench", "trials = 10", 'set = "mrac"', "tune.parameters", "set", "or parameters"),
+    ("bench", "trials = 10", 'backend = "ecu"', "tune.backend", "'batch'", ""),
     ("bench", '["left_turn"]', "[]", "scenarios", "empty", ""),
     ("bench", "to_tick = 20", "to_tick = 10", "faults[0]", "to_tick 10", "<"),
     ("model", "low = 0.09", "low = 0.105", "actuators.steer.dead_time_s", "outside", ""),
@@ -201,6 +202,18 @@ def test_a_mistake_names_its_key(
     error = caught.value
     assert (error.file, error.key) == (str(path), key)
     assert words in error.message and hint in error.hint, str(error)
+
+
+def test_parts_of_the_controller_have_parameters_of_their_own(write: Callable[..., Path]) -> None:
+    """Of the group of the table too; which ones a part has is known where it is built."""
+    assert (
+        "speed.observer_radps"
+        in load_bench(
+            write("bench", '[controller.parameters]\n"lqr.q1"', f'{PREVIEW}"speed.observer_radps"')
+        ).controller.parameters
+    )
+    with pytest.raises(InputError, match="no such parameter"):
+        load_bench(write("bench", '"lqr.q1"', '"speed.observer_radps"'))
 
 
 def test_what_is_no_toml_is_said_with_line_and_column(write: Callable[..., Path]) -> None:

@@ -15,7 +15,7 @@ from tunefree_hil.bench.batch import Batch, Job
 from tunefree_hil.jobs.tune.margins import EFFECTS
 
 TOOL = ROOT / "tools" / "precompile.py"
-BENCH = "bench_configs/mkz_learned.toml"  # what `make tune` takes
+BENCH = "bench_configs/mkz_envelope.toml"  # what `make tune` takes
 
 
 def _precompile(*words: str) -> subprocess.CompletedProcess[str]:

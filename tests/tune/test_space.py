@@ -126,10 +126,16 @@ def test_a_listed_parameter_takes_the_box_of_the_table() -> None:
     assert not resolve_space("", [ParameterSpec(name="lqr.q2", scale="linear")]).axes[0].log
 
 
+def test_parameters_are_listed_beside_a_set() -> None:
+    space = resolve_space("mrac", [ParameterSpec(name="speed.preview_s", low=0.1, high=0.4, scale="linear")])
+    assert space.names == (*NAMES[:2], "speed.preview_s")
+    assert not space.axes[2].log and (space.axes[2].low, space.axes[2].high) == pytest.approx((0.1, 0.4))
+
+
 @pytest.mark.parametrize(
     ("set_name", "specs"),
     [
-        ("mrac", [ParameterSpec(name="lqr.q1")]),
+        ("mrac", [ParameterSpec(name="mrac.p")]),
         ("lateral6", []),
         ("", []),
         ("", [ParameterSpec(name="lqr.q5")]),

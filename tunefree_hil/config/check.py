@@ -12,6 +12,7 @@ from tunefree_hil.config.find import nearest
 from tunefree_hil.config.problem import ConfigProblem, Problems
 from tunefree_hil.config.schema import (
     BenchSpec,
+    ControllerSpec,
     Interval,
     ModelSpec,
     ParameterSpec,
@@ -177,8 +178,9 @@ def check_bench(spec: BenchSpec) -> Problems:
         yield ConfigProblem("scenarios", "it is empty", "name at least one scenario, or roads.search")
     if spec.roads is not None:
         yield from _roads(spec.roads)
-    parts = (spec.controller.lateral, spec.controller.longitudinal, spec.controller.inner)
-    has_own_parts = bool(spec.controller.command) or any(":" in part for part in parts)
+    plain = ControllerSpec()
+    parts = ("lateral", "longitudinal", "inner")
+    has_own_parts = any(getattr(spec.controller, part) != getattr(plain, part) for part in ("command", *parts))
     if spec.controller.command and not all(spec.controller.command):
         yield ConfigProblem("controller.command", "a word of it is empty", "give the program, then its arguments")
     for name in spec.controller.parameters:
@@ -225,8 +227,6 @@ def is_foreign(name: str) -> bool:
 
 def _tune(spec: BenchSpec, has_own_parts: bool) -> Problems:
     tune = spec.tune
-    if tune.set and tune.parameters:
-        yield ConfigProblem("tune.parameters", f"the set {tune.set!r} is given too", "give a set, or parameters")
     if tune.trials < 1:
         yield ConfigProblem("tune.trials", f"{tune.trials} is below 1", "give a whole number from 1 on")
     if tune.in_flight < 0:

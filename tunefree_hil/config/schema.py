@@ -224,7 +224,8 @@ class TuneSpec(Spec, frozen=True, kw_only=True):
     set: Literal["", "mrac", "lateral", "complete"] = ""
     parameters: list[ParameterSpec] = field(default_factory=list)
     trials: int = 40
-    sampler: Literal["tpe_independent", "tpe_relative", "random"] = "tpe_independent"
+    sampler: Literal["tpe_independent", "tpe_relative", "tpe_cma", "random"] = "tpe_independent"
+    backend: Literal["bus", "batch"] = "bus"  # of the trials; the best ones of a batch are confirmed over the bus
     in_flight: int = 0  # trials asked together; 0: 8 in a batch, 1 over the bus
     box: Literal["", "default", "paper"] = ""  # '': default in a bench file with [require], else paper
     starts: Literal["first", "manual"] = "first"  # the first trials: one manual set, or all

@@ -18,12 +18,14 @@ from optuna.samplers import BaseSampler, RandomSampler, TPESampler
 from optuna.trial import create_trial
 
 from tunefree_hil.base.errors import InputError
+from tunefree_hil.tune.cma import CRITERIA, suggest_cma_points
 from tunefree_hil.tune.space import Space
 
 # Otherwise Optuna prints "A new study created" for every suggestion.
 optuna.logging.set_verbosity(optuna.logging.WARNING)
 
-SAMPLERS = ("tpe_independent", "tpe_relative", "random")
+TPE_CMA = "tpe_cma"  # TPE first, then CMA-ES (cma.py)
+SAMPLERS = ("tpe_independent", "tpe_relative", TPE_CMA, "random")
 CONSTRAINT = "requirements"  # name of the only constraint
 SMALLEST_SCORE = 1e-6  # a score of 0 (no error at all) has no logarithm
 
@@ -85,6 +87,8 @@ def suggest_points(
     Returns:
         One set for each slot; it depends on the arguments alone.
     """
+    if sampler == TPE_CMA and len(history) >= CRITERIA.start_trials:
+        return suggest_cma_points(space, history, seed=seed, count=len(slots))
     memory = optuna.create_study(direction="minimize", sampler=_make_sampler(sampler, derive_slot_seed(seed, slots[0])))
     distributions = {axis.name: axis.sampler_distribution() for axis in space.axes}
     if sampler != "random":

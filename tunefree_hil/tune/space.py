@@ -143,10 +143,10 @@ def resolve_space(
     box: BoxChoice = BoxChoice.PAPER,
     file: str = "",
 ) -> Space:
-    """Make the space of `[tune]` of a bench file: a named set (docs/reference/controller.md), or listed parameters.
+    """Make the space of `[tune]` of a bench file: a set (docs/reference/controller.md), listed parameters, or both.
 
     Args:
-        set_name: A name of SETS, or '' with a list of parameters.
+        set_name: A name of SETS; '' for listed parameters alone.
         specs: Listed parameters; one without range and choices takes those of the table.
         announced: Parameters that a foreign controller announces, in addition to the table.
         scale: "log" or "linear" overrides the scale of the parameters.
@@ -160,13 +160,10 @@ def resolve_space(
         **{name: tunable_in_box(name, box) for name in BY_NAME},
         **{tunable.name: tunable for tunable in announced},
     }
-    if set_name and specs:
-        raise _wrong(file, "", "has both `set` and `parameters`", "keep one of the two")
     if set_name and set_name not in SETS:
         raise _wrong(file, "", f"has an unknown set {set_name!r}", f"use {', '.join(SETS)}")
-    if set_name:
-        return make_space([table[name] for name in SETS[set_name]], scale=scale, file=file)
-    return make_space([_with_box(spec, table, file) for spec in specs], scale=scale, file=file)
+    listed = [_with_box(spec, table, file) for spec in specs]
+    return make_space([*(table[name] for name in SETS.get(set_name, ())), *listed], scale=scale, file=file)
 
 
 def _with_box(spec: SearchedParameter, table: Mapping[str, Tunable], file: str) -> SearchedParameter:

@@ -18,6 +18,7 @@ from tunefree_hil.jobs.tune.confirm import ConfirmedStudy, confirm_over_bus, fin
 from tunefree_hil.jobs.tune.evaluators import BusEvaluator, VectorCandidate
 from tunefree_hil.jobs.tune.report import write_tune_report
 from tunefree_hil.jobs.tune.robustness import RobustnessResult
+from tunefree_hil.tune.compare import find_best_baseline
 from tunefree_hil.tune.ensemble import CARS
 from tunefree_hil.tune.journal import Journal, open_journal, slot_key
 from tunefree_hil.tune.robust_winner import DriveTotals
@@ -85,11 +86,12 @@ def confirmed(
     return [f"{event.kind}: {event.message}" for event in events]
 
 
-def test_the_best_trials_and_every_baseline_are_driven_once(bench: Bench, journal: Journal) -> None:
+def test_the_best_trials_and_the_best_baseline_are_driven_once(bench: Bench, journal: Journal) -> None:
     bus, baselines = FakeBus(), len(compute_baseline_vectors(bench))
     said = confirmed(bench, journal, bus)
     best = sorted(journal.trials(), key=lambda trial: trial.score)[:2]
-    assert bus.asked == [baselines + trial.slot for trial in best] + list(range(baselines))
+    manual = list(journal.baselines()).index(find_best_baseline(journal.baselines()).name)
+    assert bus.asked == [baselines + trial.slot for trial in best] + [manual]
     assert all(line.startswith("progress") and line.endswith("equal") for line in said)
     assert find_unconfirmed(journal, 2, BY_GRADE) == {} and len(find_unconfirmed(journal, 3, BY_GRADE)) == 1
     assert find_unconfirmed(open_journal(journal.path, journal.settings), 2, BY_GRADE) == {}, (
@@ -110,8 +112,7 @@ def test_the_winner_is_the_bus_s_and_what_differs_is_named(bench: Bench, journal
     text = "\n".join(report.lines)
     assert f"all {TRIALS} trials were driven in the batch; 2 of them" in text
     assert any(line.startswith(f"trial {second.slot + 1} ") and "the winner" in line for line in report.lines)
-    n = 2 + len(compute_baseline_vectors(bench))
-    assert f"{n - 1} of {n} candidates have the same metrics in batch and bus" in report.sentence
+    assert "2 of 3 candidates have the same metrics in batch and bus" in report.sentence
 
 
 def test_what_holds_is_confirmed_and_wins_and_the_better_grade_is_named(
@@ -132,7 +133,8 @@ def test_what_holds_is_confirmed_and_wins_and_the_better_grade_is_named(
 
 
 def test_a_node_that_is_lost_costs_one_attempt(bench: Bench, journal: Journal) -> None:
-    bus = FakeBus(lost=[0])
+    manual = list(journal.baselines()).index(find_best_baseline(journal.baselines()).name)
+    bus = FakeBus(lost=[manual])
     said = confirmed(bench, journal, bus)
     assert [line for line in said if "driven again" in line and line.startswith("warning")]
     assert all(one.is_equal for one in ConfirmedStudy(journal).scores().values())

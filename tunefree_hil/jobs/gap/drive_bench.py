@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -17,6 +18,7 @@ from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bench import Bench, VehicleFor, is_heavy, needed_messages
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.formats.rows import FD, Row
+from tunefree_hil.bus.link import Sending
 from tunefree_hil.bus.recording.frame_attribution import can_key
 from tunefree_hil.collect.bounds import DriveBounds
 from tunefree_hil.collect.plan import DrivePlan, plan_as_dict
@@ -175,8 +177,11 @@ class InProcessExchange:
         self.code = 0
         self._sent: list[CanFrame] = []
 
-    def announce(self, k: int, phase: int, frames: list[CanFrame], *before: Any) -> None:
-        """Take the ECU's frames of a tick."""
+    def prepare(self, k: int, phase: int, frames: list[CanFrame], *before: Any) -> Sending:
+        """Take the ECU's frames of a tick, when it calls what is returned."""
+        return partial(self._announce, frames)
+
+    def _announce(self, frames: list[CanFrame]) -> None:
         self._sent = self._logged(frames)
 
     def await_phase(self, k: int, phase: int, interrupt: Callable[[Any], bool]) -> list[CanFrame]:

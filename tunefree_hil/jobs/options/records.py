@@ -61,7 +61,7 @@ class TuneOptions(NamedTuple):
         str | None,
         Option("parameters to tune; default: as in the bench file", "--set", choices=("mrac", "lateral", "complete")),
     ] = None
-    sampler: Annotated[str | None, Option("tpe_independent, tpe_relative or random")] = None
+    sampler: Annotated[str | None, Option("tpe_independent, tpe_relative, tpe_cma or random")] = None
     seed: Seed = None
     scale: Annotated[
         str | None, Option("scale of the search, default: log; the paper uses linear", choices=("log", "linear"))
@@ -77,8 +77,12 @@ class TuneOptions(NamedTuple):
         str | None, Option("work on a shared study: postgresql://USER@HOST/DATABASE#STUDY", metavar="URL")
     ] = None
     backend: Annotated[
-        str, Option("batch: compiled; the best trials are confirmed over the bus", choices=(BUS, BATCH))
-    ] = BUS
+        str | None,
+        Option(
+            "batch: compiled; the best trials are confirmed over the bus; default: as in the bench file",
+            choices=(BUS, BATCH),
+        ),
+    ] = None
     benches: Annotated[int, Option("benches side by side; 0: one per core, at most two", minimum=0)] = 0
     in_flight: Annotated[int, Option("trials in a generation; 0: as in the bench file", minimum=0)] = 0
     realtime: Realtime = False

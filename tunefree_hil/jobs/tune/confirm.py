@@ -1,4 +1,4 @@
-"""Confirmation: the best trials of a batch and the baselines are driven over the bus, whose scores decide."""
+"""Confirmation: the best trials of a batch and its best baseline are driven over the bus, whose scores decide."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from tunefree_hil.jobs.progress import count_data
 from tunefree_hil.jobs.tune.evaluators import BusEvaluator, VectorCandidate
 from tunefree_hil.jobs.tune.margins import Vectors
 from tunefree_hil.jobs.tune.robustness import RobustnessResult
+from tunefree_hil.tune.compare import find_best_baseline
 from tunefree_hil.tune.ensemble import has_ensemble, nominal_drives, nominal_score, with_drives_over_bus
 from tunefree_hil.tune.journal import Journal, slot_key
 from tunefree_hil.tune.trial import Baseline, Trial, find_best_trial
@@ -48,7 +49,7 @@ class ConfirmedScore(NamedTuple):
 
 
 class ConfirmedStudy:
-    """The study as confirmed over the bus: scores of confirmed trials and of the baselines are those of the bus."""
+    """The study as confirmed: what was driven over the bus has the scores of the bus, the rest those of the batch."""
 
     def __init__(self, journal: Journal) -> None:
         self.settings = journal.settings
@@ -68,11 +69,10 @@ class ConfirmedStudy:
         return find_best_trial(self.confirmed_trials())
 
     def baselines(self) -> dict[str, Baseline]:
-        """The baselines with their scores over the bus."""
+        """The baselines; the confirmed ones with their scores over the bus."""
         return {
-            name: baseline._replace(**self._values_over_bus(name, baseline))
+            name: baseline._replace(**self._values_over_bus(name, baseline)) if name in self._over_bus else baseline
             for name, baseline in self._journal.baselines().items()
-            if name in self._over_bus
         }
 
     def scores(self) -> dict[str, ConfirmedScore]:
@@ -122,10 +122,10 @@ def _flat(drive: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def find_unconfirmed(journal: Journal, best: int, robustness: RobustnessResult) -> dict[str, Trial | None]:
-    """Unconfirmed candidates by key: the first `best` trials of the ranking, and every baseline (None)."""
+    """Unconfirmed candidates by key: the first `best` trials of the ranking, and the best baseline (None)."""
     best_trials = robustness.rank_trials(journal.trials())[:best]
     keys: dict[str, Trial | None] = {slot_key(trial.slot): trial for trial in best_trials}
-    keys |= dict.fromkeys(journal.baselines())
+    keys[find_best_baseline(journal.baselines()).name] = None
     return {key: trial for key, trial in keys.items() if key not in journal.confirmations()}
 
 

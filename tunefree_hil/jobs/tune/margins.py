@@ -1,4 +1,4 @@
-"""Margins of the winner and the baselines on the verify model: thousands of drives of varied cars in the batch.
+"""Margins of the winner and of the best baseline on the verify model: thousands of drives of varied cars in the batch.
 
 The batch gives the numbers of the bus, bit for bit, in a small share of the time. `verify` has driven the nominal car
 over the bus; its scores are compared with those of the batch. docs/reference/margins.md lists the drives and the keys

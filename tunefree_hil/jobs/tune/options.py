@@ -13,7 +13,7 @@ from tunefree_hil.grade.requirements.limits import RequirementLimits, requiremen
 from tunefree_hil.jobs.command_text import changed_options, shell_command
 from tunefree_hil.jobs.drive import new_session_name
 from tunefree_hil.jobs.identity import compute_identity
-from tunefree_hil.jobs.options.records import BATCH, TuneOptions
+from tunefree_hil.jobs.options.records import BATCH, BUS, TuneOptions
 from tunefree_hil.jobs.run_folder import open_run
 from tunefree_hil.jobs.running.foreign import require_foreign_controller, with_controller_command
 from tunefree_hil.jobs.running.node_links import resolve_vehicle_bus
@@ -89,9 +89,10 @@ def make_tune_plan(options: TuneOptions) -> TunePlan:
     """Resolve and check the options. Raises InputError."""
     bench_file = _find_bench_file(options)
     options = fill_defaults(_restore_options(options) if options.resume else options)
+    bench = with_controller_command(load(bench_file), options.controller)
+    options = _choose_backend(bench, options)
     _require_compatible(options)
     address = parse_address(options.study) if options.study else None
-    bench = with_controller_command(load(bench_file), options.controller)
     _require_slower(bench)
     _require_batch_for_ensemble(bench, options)
     space = _space(bench, options)
@@ -181,7 +182,7 @@ def _read_tune_record(path: Path) -> dict[str, Any]:
 def _space(bench: Bench, options: TuneOptions) -> Space:
     tune = bench.spec.tune
     specs = [] if options.set_name else tune.parameters
-    name = options.set_name or ("" if specs else tune.set)
+    name = options.set_name or tune.set
     scale = "" if options.scale == "log" else options.scale or ""
     return resolve_space(name, specs, scale=scale, box=choose_box(bench), file=bench.file)
 
@@ -190,6 +191,12 @@ def choose_box(bench: Bench) -> BoxChoice:
     """The box of the bench file; without a choice the wider one where its requirements hold it in check."""
     without_choice = BoxChoice.DEFAULT if bench.spec.require is not None else BoxChoice.PAPER
     return BoxChoice(bench.spec.tune.box or without_choice)
+
+
+def _choose_backend(bench: Bench, options: TuneOptions) -> TuneOptions:
+    """The options with a backend: as given, else that of the bench file, unless only the bus can do what is asked."""
+    needs_bus = options.realtime or options.study or options.join or bench.spec.controller.command
+    return options._replace(backend=options.backend or (BUS if needs_bus else bench.spec.tune.backend))
 
 
 def _require_compatible(options: TuneOptions) -> None:

@@ -107,8 +107,8 @@ def _add_confirmation(report: TuneReport, confirmed: ConfirmedStudy, winner: Tri
     trials = confirmed.trials()
     driven = [trial for trial in trials if slot_key(trial.slot) in scores]
     lines = [
-        f"all {len(trials)} trials were driven in the batch; {len(driven)} of them and the baselines also over the bus "
-        "(the table above has the scores of the bus)"
+        f"all {len(trials)} trials were driven in the batch; {len(driven)} of them and the best manual set also over "
+        "the bus (the table above has their scores of the bus)"
     ]
     width = max(len(name) for name in scores)
     lines.append(f"{'':{width}}     batch       bus")

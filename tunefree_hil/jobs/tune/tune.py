@@ -255,13 +255,13 @@ def _as_warnings(messages: Iterator[str]) -> Iterator[Event]:
 
 
 def _tune_in_batch(plan: TunePlan, run: RunFolder, stack: ExitStack) -> Generator[Event, None, TuneOutcome]:
-    """The study is in trials.jsonl; the trials that may win and the baselines are confirmed over the bus."""
+    """The study is in trials.jsonl; the trials that may win and the best baseline are confirmed over the bus."""
     journal = open_journal(run.path / JOURNAL, plan.settings)
     if len(journal.baselines()) < len(plan.vectors) or len(journal.trials()) < plan.trials:
         with open_batch(plan.bench) as (batch, cars):
             text = f"batch: {plan.settings.in_flight} trials in flight; a new bench is compiled first"
             n_confirmed = min(plan.confirm, plan.trials)
-            text += f". Afterwards the {n_confirmed} best trials and the baselines are driven over the bus"
+            text += f". Afterwards the {n_confirmed} best trials and the best manual set are driven over the bus"
             yield Event("note", text)
             evaluator = _make_batch_evaluator(plan, batch, cars, journal)
             search = TrialSearch(plan, run, evaluator, journal)
@@ -278,7 +278,9 @@ def _tune_in_batch(plan: TunePlan, run: RunFolder, stack: ExitStack) -> Generato
     if missing:
         with _open_evaluator(plan, run) as evaluator:
             trials = sum(trial is not None for trial in missing.values())
-            text = f"confirmation over the bus: {trials} trials and {len(missing) - trials} baselines"
+            text = f"confirmation over the bus: {trials} trials" + (
+                " and a manual set" if None in missing.values() else ""
+            )
             yield Event("note", f"{text}; {_describe_lanes(plan, evaluator)}")
             yield from confirm_over_bus(plan.bench, journal, evaluator, plan.vectors, missing)
     copying.result()

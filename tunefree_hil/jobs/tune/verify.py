@@ -1,6 +1,7 @@
 """Verification: the winner and every baseline on the verify model, over scenarios that the search did not use.
 
-Over the bus first, which decides which is better; then their margins in the batch (jobs/tune/margins.py).
+Over the bus first, which decides which is better; then the margins of the winner and of the best baseline in the batch
+(jobs/tune/margins.py).
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from tunefree_hil.jobs.tune.verdict.text import requirement_table, road_oscillat
 from tunefree_hil.tune.trial import Evaluation
 
 EXIT_NOT_BETTER = 1  # exit status
+BEFORE_AFTER = "before_after.png"  # in the figures of the run
 
 EpisodesByVector = dict[str, Mapping[str, EpisodeResult]]  # and by scenario
 
@@ -84,7 +86,8 @@ def verify_winner(bench: Bench, run: RunFolder, options: VerifyOptions) -> Gener
     yield from (Event("note", line) for line in candidate_table(data["scenarios"], data["scores"]))
     table = requirement_table({TUNED: data["requirements"], **data["manual_requirements"]})
     yield from (Event("note", line) for line in table)
-    data["margins"] = yield from _report_margins(bench, vectors, episodes, data["scores"], joined)
+    compared = {name: vectors[name] for name in (TUNED, decided.manual)}
+    data["margins"] = yield from _report_margins(bench, compared, episodes, data["scores"], joined)
     # whether the data of the tuned model cover what the winner does on the vehicle
     recordings = {name: episode.recording for name, episode in episodes[TUNED].items()}
     data["outside"] = measure_outside(bench, bench.spec.model, recordings)
@@ -95,6 +98,7 @@ def verify_winner(bench: Bench, run: RunFolder, options: VerifyOptions) -> Gener
     driven = DrivenOn(model, list(evaluations[TUNED].scenarios), road_seed(bench))
     write_best(run, read_best(run), decided, driven, vectors, swing)
     data["figures"] = _write_figures(run, episodes, data)
+    yield Event("note", f"picture of manual and tuned gains: {run.figures() / BEFORE_AFTER}")
     write_json(run.path / "verify.json", {"schema": "tunefree.verify/1", **data})
     return data
 
@@ -118,11 +122,17 @@ def _drive_vectors(
 def _report_margins(
     bench: Bench,
     vectors: Mapping[str, Mapping[str, float]],
-    episodes: EpisodesByVector,
+    driven: EpisodesByVector,
     scores: Mapping[str, float],
     joined: str | None,
 ) -> Generator[Event, None, dict[str, Any]]:
-    """The value of "margins" in verify.json; yields the table as notes, and a warning where batch and bus differ."""
+    """The value of "margins" in verify.json; yields the table as notes, and a warning where batch and bus differ.
+
+    Args:
+        vectors: The gains whose margins are measured.
+        driven: Episodes of these and other gains.
+    """
+    episodes = {name: driven[name] for name in vectors}
     scenarios = [bench.scenarios[name] for name in bench.spec.verify_scenarios]
     margin_result = yield from find_margins(bench, bench.spec.verify_model, vectors, scenarios, joined)
     steering = {
@@ -133,7 +143,7 @@ def _report_margins(
         name: {scenario: episode.grade.score for scenario, episode in by_scenario.items()}
         for name, by_scenario in episodes.items()
     }
-    data = margin_data(margin_result, steering, scores, over_bus)
+    data = margin_data(margin_result, steering, {name: scores[name] for name in vectors}, over_bus)
     yield from (Event("note", line) for line in margin_table(data, TUNED))
     equal_scores = data["same_as_bus"]
     if equal_scores and equal_scores["equal"] < equal_scores["of"]:
@@ -167,14 +177,17 @@ def _compare(decided: DecidedGains, evaluations: Mapping[str, Evaluation]) -> di
 def _write_figures(run: RunFolder, episodes: EpisodesByVector, data: Mapping[str, Any]) -> list[str]:
     from tunefree_hil.figures.scenario import DrivePicture, draw_scenario
     from tunefree_hil.figures.style import save
+    from tunefree_hil.figures.tuning.before_after import RoadPair, draw_before_after
     from tunefree_hil.figures.tuning.margins import draw_margins
 
     manual, margins = data["manual"], data["margins"]
     written = [] if margins["reason"] else [str(save(draw_margins(margins, TUNED), run.figures() / "margins.png"))]
+    pairs = []
     for name in episodes[TUNED]:
         drives = []
         for label, candidate in ((f"manual ({manual})", manual), (TUNED, TUNED)):
             recording, grade, *_ = episodes[candidate][name]
             drives.append(DrivePicture(label, recording.columns, grade.score, grade.outcome))
         written.append(str(save(draw_scenario(f"{name} (verify)", drives), run.figures() / f"verify_{name}.png")))
-    return written
+        pairs.append(RoadPair(name, *drives))
+    return [str(save(draw_before_after(pairs), run.figures() / BEFORE_AFTER)), *written]
