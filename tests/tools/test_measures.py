@@ -186,15 +186,6 @@ def test_without_adaptation_p_does_not_matter(bench) -> None:
 
 
 @pytest.mark.slow
-def test_a_cell_is_tuned_once(tmp_path: Path) -> None:
-    job = mrac.Cell(str(STEER), str(tmp_path), 0.10, 0.17, 2, 1)
-    first = mrac.work_cell(job)
-    assert first["tuned"]["score"] <= first["off"]["score"]
-    assert mrac.work_cell(job) == first
-    assert len(next(tmp_path.glob("*.jsonl")).read_text().splitlines()) == 1
-
-
-@pytest.mark.slow
 def test_a_straight_drive_shows_how_the_gains_move(tmp_path: Path) -> None:
     straight = mrac.Straight(str(STEER), str(tmp_path), "x", mrac.STRONGEST, {}, 1)
     label, moved = mrac.work_straight(straight)

@@ -31,8 +31,7 @@ class _Gains:
         self._steer_rad = 0.0
 
     def __call__(self, state: Any) -> None:
-        inner = state.inner
-        now = (float(inner.gains.x1), float(inner.gains.r))
+        now = read_gains(state.inner)
         if self.ticks == 0:
             self.start = now
         self.ticks += 1
@@ -43,6 +42,13 @@ class _Gains:
             self.steer_rad.append(self._steer_rad)
             self._steer_rad = 0.0
         self.last = now
+
+
+def read_gains(inner: Any) -> tuple[float, float]:
+    """(gain on the angle, gain on the command) in the state of either law."""
+    if hasattr(inner, "angle_gain"):  # mrac_robust.py
+        return float(inner.angle_gain), float(inner.command_gain)
+    return float(inner.gains.x1), float(inner.gains.r)
 
 
 def drift(bench: Bench, model: Path, values: Mapping[str, float], minutes: int) -> dict[str, Any]:

@@ -7,6 +7,7 @@ same drive over the bus (tests/tools/test_measures.py compares them). For sweeps
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple, cast
 
 from tunefree_hil.base.kernel import Block
@@ -14,6 +15,7 @@ from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bench import Bench, ControllerFor, VehicleFor, follower_of, needed_messages
 from tunefree_hil.bench.faults import CONTROLLER, ECU, driver_script, faults_of
 from tunefree_hil.bus import bench_channel as bc
+from tunefree_hil.bus.link import Sending
 from tunefree_hil.config.schema import FaultSpec, ScenarioSpec
 from tunefree_hil.episode.candump import FD, LogFrame
 from tunefree_hil.episode.columns import columns_from_frames
@@ -107,7 +109,10 @@ class _Between:
         self.end = bc.Status(bc.Role.ECU, bc.State.FAILED, 0, 0)
         self._reports: list[CanFrame] = []
 
-    def announce(self, k: int, phase: int, frames: list[CanFrame], *before: Any) -> None:
+    def prepare(self, k: int, phase: int, frames: list[CanFrame], *before: Any) -> Sending:
+        return partial(self._announce, frames)
+
+    def _announce(self, frames: list[CanFrame]) -> None:
         self._reports = self._in_order(frames)
 
     def await_phase(self, k: int, phase: int, interrupt: Callable[[Any], bool]) -> list[CanFrame] | None:

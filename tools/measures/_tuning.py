@@ -1,4 +1,4 @@
-"""What tuning is worth (tune2, tune11): studies of several seeds against every manual baseline and random search.
+"""What tuning is worth (tune2): studies of several seeds against every manual baseline and random search.
 
 Searched on the bench file's model over its scenarios, judged on its verify model over scenarios that no search saw.
 """
