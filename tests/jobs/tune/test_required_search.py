@@ -78,3 +78,15 @@ def test_a_road_to_be_verified_beyond_the_searched_speed_is_warned_of(tmp_path: 
     assert {beyond.road for beyond in found} == {"faster"}
     (warning,) = events
     assert warning.kind == "warning" and "faster is to be verified, and lies outside" in warning.message
+
+
+def test_roads_that_are_faster_than_the_data_of_the_model_are_warned_of(repo: Path) -> None:
+    """The learned car was driven up to 23.5 m/s, the roads of its bench reach 30 m/s; the slow study's do not."""
+    (warning,) = tune.warn_faster_than_data(load(repo / "bench_configs" / "mkz_envelope.toml"))
+    low, high = warning.data["valid_mps"]
+    assert warning.kind == "warning" and low < 1.0 < 20.0 < high < 25.0
+    assert warning.data["faster"] and all(
+        int(name.partition("mps")[0].rpartition("_")[2]) > 20 for name in warning.data["faster"]
+    )
+    assert f"of 16 searched roads are faster than the data of model mkz_learned ({high:.1f} m/s)" in warning.message
+    assert not list(tune.warn_faster_than_data(load(repo / "bench_configs" / "mkz_learned.toml")))

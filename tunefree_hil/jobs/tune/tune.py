@@ -13,6 +13,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, model_of, parameters_of
 from tunefree_hil.bench.batch import Batch
@@ -84,6 +86,7 @@ def tune(options: TuneOptions) -> Iterator[Event]:
             yield Event("note", text)
         uncovered = find_uncovered_roads(plan.bench) if _is_verified(plan) else []
         yield from _warn_uncovered(uncovered)
+        yield from warn_faster_than_data(plan.bench)
         with ExitStack() as stack:
             if plan.options.study:
                 run_search = _tune_shared
@@ -142,6 +145,24 @@ def _warn_uncovered(uncovered: Sequence[RoadBeyond]) -> Iterator[Event]:
         named, more = [outside_text(road) for road in uncovered[:MAX_NAMED_ROADS]], len(uncovered) - MAX_NAMED_ROADS
         named += [f"and {more} more"] if more > 0 else []
         yield Event("warning", f"{'; '.join(named)}. What is not searched is not known to hold")
+
+
+def warn_faster_than_data(bench: Bench) -> Iterator[Event]:
+    """One warning where searched roads are faster than the data that the model was learned from; its cars are too."""
+    valid = model_of(bench, bench.spec.model).valid.speed_mps
+    if valid is None:
+        return
+    fastest = {name: float(np.max(bench.course(bench.scenarios[name]).speed_mps)) for name in bench.spec.scenarios}
+    faster = sorted(name for name, speed_mps in fastest.items() if speed_mps > valid[1])
+    if faster:
+        cars = " and its cars" if bench.spec.ensemble is not None else ""
+        yield Event(
+            "warning",
+            f"{len(faster)} of {len(fastest)} searched roads are faster than the data of model {bench.spec.model} "
+            f"({valid[1]:.1f} m/s), {max(fastest.values()):.1f} m/s at most: there it{cars} extrapolates. Collect data "
+            "at these speeds and learn it again, or leave these roads out",
+            {"faster": faster, "valid_mps": list(valid)},
+        )
 
 
 def _is_verified(plan: TunePlan) -> bool:
