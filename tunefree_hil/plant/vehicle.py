@@ -44,6 +44,18 @@ class BodyState(NamedTuple):
     ends: Any
 
 
+class BodySteps(NamedTuple):
+    """Steps of the parts of a vehicle: Command -> Actuation, Actuation -> Actuation, ChassisInput -> Motion,
+    SensorInput -> Measurement, Measurement -> Measurement.
+    """
+
+    front: Any
+    behind: Any
+    chassis: Any
+    sensors: Any
+    ends: Any
+
+
 class Body(NamedTuple):
     """An assembled vehicle: the Block, and the parts that tick 0 needs."""
 
@@ -171,9 +183,7 @@ def _body(
     ins_ticks: int,
     late_s: float,
 ) -> Block:
-    """The parts as one Block; front, behind and chassis are stepped `substeps` times a tick, the rest once."""
-    front_step, behind_step, chassis_step = front.step, behind.step, chassis.step
-    sensor_step, measurement_step = sensor_block.step, measurement_effects.step
+    """The parts as one Block."""
 
     def init(params: BodyParams, dt_s: float) -> BodyState:
         small_s = dt_s / substeps
@@ -185,6 +195,21 @@ def _body(
             rolled_in(params.sensors, first, ins_ticks, dt_s),
             measurement_effects.init(params.ends, dt_s),
         )
+
+    steps = BodySteps(front.step, behind.step, chassis.step, sensor_block.step, measurement_effects.step)
+    params = BodyParams(
+        front.params, behind.params, chassis.params, sensor_block.params, measurement_effects.params, late_s
+    )
+    return Block(init, make_tick(steps, substeps), params)
+
+
+def make_tick(steps: BodySteps, substeps: int = 1) -> Any:
+    """One tick of a vehicle as a kernel (BodyParams, BodyState, BodyInput, dt_s) -> (BodyState, BodyOutput).
+
+    The only place with the order of its parts. front, behind and chassis are stepped `substeps` times a tick, the
+    rest once.
+    """
+    front_step, behind_step, chassis_step, sensor_step, measurement_step = steps
 
     @kernel
     def step(params: BodyParams, state: BodyState, x: BodyInput, dt_s: float) -> tuple[BodyState, BodyOutput]:
@@ -202,7 +227,4 @@ def _body(
         new = BodyState(front_state, behind_state, chassis_state, sensor_state, effects_state)
         return new, BodyOutput(out, motion, measured)
 
-    params = BodyParams(
-        front.params, behind.params, chassis.params, sensor_block.params, measurement_effects.params, late_s
-    )
-    return Block(init, step, params)
+    return step

@@ -23,6 +23,7 @@ from tunefree_hil.base import parts
 from tunefree_hil.base.contracts import BodyChange, Effect, Latency, Port, make_effect
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import Block
+from tunefree_hil.base.records import Actuation
 from tunefree_hil.config.schema import ActuatorSpec, ModelSpec, VehicleSpec, value_of
 from tunefree_hil.effects import catalogue
 from tunefree_hil.gap.model.effect_chain import (
@@ -42,9 +43,8 @@ from tunefree_hil.gap.model.kernels import (
     N_INPUTS,
     N_OUTPUTS,
     N_SIMULATED,
-    ActuatorParts,
+    NOT_USED,
     InputRow,
-    VehicleParts,
     make_actuator_loop,
     make_vehicle_loop,
 )
@@ -53,6 +53,7 @@ from tunefree_hil.learn.evaluation.motion import actuator_params
 from tunefree_hil.plant.actuation.acceleration_interface import FULL_MPS2
 from tunefree_hil.plant.actuation.actuators import ActuatorParams, init_actuator
 from tunefree_hil.plant.constants import LEAST
+from tunefree_hil.plant.vehicle import BodyParams, BodyState
 
 Array = np.ndarray
 # Parameter values by key: 'steer_lag.tau_s' of an effect; 'plant.drive_force_n' and 'actuator.steer.lag_s', log of a
@@ -130,13 +131,9 @@ class EffectGraph:
             for port in (*SCALAR_PORTS, Port.REPORT, Port.INS)
         }
         chassis = self.plant.make(model.plant.params, BodyChange())
-        steps = {port: chain.block.step for port, chain in self._chains.items()}
-        self._run_actuators = make_actuator_loop(
-            [steps[port] for port in PORTS_A], [steps[port] for port in PORTS_OUT], steps[Port.REPORT]
-        )
-        self._run_vehicle = make_vehicle_loop(
-            [steps[port] for port in PORTS_B], steps[Port.REPORT], steps[Port.INS], chassis.step, self.plant.observe
-        )
+        effects = [(port, chain.block) for port, chain in self._chains.items()]
+        self._run_actuators = make_actuator_loop(effects)
+        self._run_vehicle = make_vehicle_loop(effects, chassis.step, self.plant.observe)
         report_effects = self._chains[Port.REPORT].names
         self._output_effects = {name for name in report_effects if self._changes_reported_outputs(name)}
         self._model_output_maps = [
@@ -230,17 +227,21 @@ class EffectGraph:
             join_channel_chains(self._chains, ports, blocks, self.dt_s) for ports in (PORTS_A, PORTS_OUT)
         )
         report = self._chains[Port.REPORT]
-        params = ActuatorParts(
-            command_effects[0],
-            actuators,  # pyright: ignore[reportArgumentType]
-            output_effects[0],
-            report.params(blocks),
+        params = BodyParams(
+            front=((command_effects[0], actuators), output_effects[0]),
+            behind=NOT_USED,
+            chassis=NOT_USED,
+            sensors=NOT_USED,
+            ends=(report.params(blocks), NOT_USED),
+            late_s=NOT_USED,
         )
-        state = ActuatorParts(
-            command_effects[1],
-            tuple(init_actuator(channel, self.dt_s) for channel in actuators),  # pyright: ignore[reportArgumentType]
-            output_effects[1],
-            report.state(blocks, self.dt_s),
+        actuator_states = tuple(init_actuator(channel, self.dt_s) for channel in actuators)
+        state = BodyState(
+            front=((command_effects[1], actuator_states), output_effects[1]),
+            behind=NOT_USED,
+            chassis=NOT_USED,
+            sensors=NOT_USED,
+            ends=(report.state(blocks, self.dt_s), NOT_USED),
         )
         outputs = np.zeros(len(rows) * N_OUTPUTS)
         self._run_actuators(params, state, rows.ravel(), outputs, x.dt_s)
@@ -257,10 +258,20 @@ class EffectGraph:
         chassis_params = chassis.params._replace(start=start)
         effects, effect_states = join_channel_chains(self._chains, PORTS_B, blocks, self.dt_s)
         report, ins = self._chains[Port.REPORT], self._chains[Port.INS]
-        params = VehicleParts(effects, chassis_params, report.params(blocks), ins.params(blocks))
-        chassis_state = chassis.init(chassis_params, self.dt_s)
-        state = VehicleParts(
-            effect_states, chassis_state, report.state(blocks, self.dt_s), ins.state(blocks, self.dt_s)
+        params = BodyParams(
+            front=NOT_USED,
+            behind=effects,
+            chassis=chassis_params,
+            sensors=NOT_USED,
+            ends=(report.params(blocks), ins.params(blocks)),
+            late_s=NOT_USED,
+        )
+        state = BodyState(
+            front=Actuation(0.0, 0.0, 0.0, 0.0),  # the loop sets it in every row
+            behind=effect_states,
+            chassis=chassis.init(chassis_params, self.dt_s),
+            sensors=NOT_USED,
+            ends=(report.state(blocks, self.dt_s), ins.state(blocks, self.dt_s)),
         )
         simulated = np.zeros(len(rows) * N_SIMULATED)
         self._run_vehicle(params, state, rows.ravel(), simulated, x.dt_s)

@@ -5,17 +5,23 @@ Each loop takes and gives flat rows of floats; a row is a record of this module,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from tunefree_hil.base.kernel import kept, kernel
-from tunefree_hil.base.records import NAN, Actuation, Command, Disturbance, Ins, Motion, Report
-from tunefree_hil.plant.actuation.actuators import step_actuator
+from tunefree_hil.base.contracts import Port
+from tunefree_hil.base.kernel import inlined, kept, kernel
+from tunefree_hil.base.records import NAN, Actuation, Command, Disturbance, Ins, Measurement, Motion, Report
+from tunefree_hil.base.rows import pack_ins
+from tunefree_hil.gap.model.effect_chain import PORTS_B
+from tunefree_hil.plant.actuation.actuators import ActuatorParams, actuators
 from tunefree_hil.plant.measurement.sensors import WIDTH, SensorInput, SensorParams, ins_of, report_of
-from tunefree_hil.plant.types import NO_DRIVER, ChassisInput
+from tunefree_hil.plant.ports import Effects, channels_of, make_measurement_effects, upto_report
+from tunefree_hil.plant.types import NO_DRIVER, BodyInput, ChassisInput
+from tunefree_hil.plant.vehicle import BodyParams, BodyState, BodySteps, make_tick
 
 AT_REST = Motion(*(0.0,) * len(Motion._fields))
 IDEAL_SENSORS = SensorParams((0.0,) * WIDTH, 0.0, 0.0)
+NOT_USED: Any = 0.0  # params or state of a part that a loop lacks
 
 
 class InputRow(NamedTuple):
@@ -50,7 +56,7 @@ class OutputRow(NamedTuple):
 
 
 class SimulatedRow(NamedTuple):
-    """One tick of what is compared with the measurement."""
+    """One tick of what is compared with the measurement; it ends with an INS record."""
 
     throttle_frac: Any
     brake_frac: Any
@@ -60,36 +66,18 @@ class SimulatedRow(NamedTuple):
     yaw_rate_radps: Any
     accel_mps2: Any
     lateral_accel_mps2: Any
-    ins_speed_mps: Any
-    ins_yaw_rate_radps: Any
-    ins_accel_mps2: Any
+    wheels_radps: Any
     ins_x_m: Any
     ins_y_m: Any
     ins_heading_rad: Any
-    wheels_radps: Any
+    ins_speed_mps: Any
+    ins_accel_mps2: Any
+    ins_yaw_rate_radps: Any
 
 
 N_INPUTS, N_OUTPUTS, N_SIMULATED = len(InputRow._fields), len(OutputRow._fields), len(SimulatedRow._fields)
 SIMULATED_FIELDS = SimulatedRow._fields
 INS_COLUMNS = [i for i, name in enumerate(SIMULATED_FIELDS) if name.startswith("ins_")]
-
-
-class ActuatorParts(NamedTuple):
-    """Params or states before the chassis: effects on the commands, actuators, effects on outputs and reports."""
-
-    command_effects: tuple[Any, Any, Any]
-    actuators: tuple[Any, Any, Any]
-    output_effects: tuple[Any, Any, Any]
-    report: Any
-
-
-class VehicleParts(NamedTuple):
-    """Params or states from the outputs on: effects before the chassis, chassis, effects on reports and INS."""
-
-    chassis_effects: tuple[Any, Any, Any]
-    chassis: Any
-    report: Any
-    ins: Any
 
 
 @kernel
@@ -137,96 +125,81 @@ def pack_simulated(rows: Any, start: int, motion: Motion, report: Report, ins: I
     rows[start + 5] = report.yaw_rate_radps
     rows[start + 6] = report.accel_mps2
     rows[start + 7] = report.lateral_accel_mps2
-    rows[start + 8] = ins.speed_mps
-    rows[start + 9] = ins.yaw_rate_radps
-    rows[start + 10] = ins.accel_mps2
-    rows[start + 11] = ins.x_m
-    rows[start + 12] = ins.y_m
-    rows[start + 13] = ins.heading_rad
-    rows[start + 14] = 0.5 * (report.wheel_rl_radps + report.wheel_rr_radps)
-    return start + 15
+    rows[start + 8] = 0.5 * (report.wheel_rl_radps + report.wheel_rr_radps)
+    return pack_ins(rows, start + 9, ins)
 
 
-def make_actuator_loop(
-    command_steps: Sequence[Any], output_steps: Sequence[Any], report_step: Any
-) -> Callable[..., int]:
-    """The loop from commands to outputs.
+@kernel
+def _park(params: float, state: float, x: ChassisInput, dt_s: float) -> tuple[float, Motion]:
+    """A chassis that stands."""
+    return state, AT_REST
+
+
+@kernel
+def _take_output(params: float, state: Actuation, x: Command, dt_s: float) -> tuple[Actuation, Actuation]:
+    """Actuators whose output is their state."""
+    return state, state
+
+
+@kernel
+def _measure(params: float, state: float, x: SensorInput, dt_s: float) -> tuple[float, Measurement]:
+    """Sensors without noise and delay."""
+    return state, Measurement(report_of(x, IDEAL_SENSORS.noise, 0), ins_of(IDEAL_SENSORS, x.motion))
+
+
+def make_actuator_loop(effects: Effects) -> Callable[..., int]:
+    """The loop from commands to outputs: a vehicle whose chassis stands.
 
     Args:
-        command_steps: steps of the effects on the commands of throttle, brake, steer.
-        output_steps: steps of the effects on the actuators' outputs.
-        report_step: step of the effects on the report.
+        effects: chains on commands, on the actuators' outputs and on the report, by port; other ports are not used.
 
     Returns:
         Kernel (params, state, input rows, output rows, dt_s) -> number of rows; it leaves row 0 as it is.
     """
-    throttle_a, brake_a, steer_a = command_steps
-    throttle_out, brake_out, steer_out = output_steps
+    front = upto_report(effects, actuators(*(ActuatorParams(),) * 3))
+    behind = channels_of((), PORTS_B, Actuation)
+    ends = make_measurement_effects([one for one in effects if one[0] is Port.REPORT])
+    tick = inlined(make_tick(BodySteps(front.step, behind.step, _park, _measure, ends.step)))
 
     @kernel
-    def run_actuators(params: ActuatorParts, state: ActuatorParts, inputs: Any, outputs: Any, dt_s: float) -> int:
-        effects, own, ends, report = state
+    def run_actuators(params: BodyParams, state: BodyState, inputs: Any, outputs: Any, dt_s: float) -> int:
         rows = len(inputs) // N_INPUTS
+        road = Disturbance(0.0, 1.0)
         for k in range(1, rows):
             command = unpack_command(inputs, k * N_INPUTS)
-            throttle_effect, throttle = throttle_a(params.command_effects[0], effects[0], command.throttle_frac, dt_s)
-            brake_effect, brake = brake_a(params.command_effects[1], effects[1], command.brake_frac, dt_s)
-            steer_effect, steer = steer_a(params.command_effects[2], effects[2], command.steer_rad, dt_s)
-            effects = (throttle_effect, brake_effect, steer_effect)
-            throttle_own, throttle = step_actuator(params.actuators[0], own[0], throttle, dt_s)
-            brake_own, brake = step_actuator(params.actuators[1], own[1], brake, dt_s)
-            steer_own, steer = step_actuator(params.actuators[2], own[2], steer, dt_s)
-            own = (throttle_own, brake_own, steer_own)
-            throttle_end, throttle = throttle_out(params.output_effects[0], ends[0], throttle, dt_s)
-            brake_end, brake = brake_out(params.output_effects[1], ends[1], brake, dt_s)
-            steer_end, steer = steer_out(params.output_effects[2], ends[2], steer, dt_s)
-            ends = (throttle_end, brake_end, steer_end)
-            output = Actuation(throttle, brake, steer, command.gear)
-            sensed = report_of(SensorInput(AT_REST, output, command, NO_DRIVER), IDEAL_SENSORS.noise, 0)
-            report, reported = report_step(params.report, report, sensed, dt_s)
-            pack_output(outputs, k * N_OUTPUTS, reported, output)
+            state, y = tick(params, state, BodyInput(command, NO_DRIVER, road), dt_s)
+            pack_output(outputs, k * N_OUTPUTS, y.measurement.report, y.actuation)
         return rows
 
     return kept(run_actuators)
 
 
-def make_vehicle_loop(
-    chassis_effect_steps: Sequence[Any], report_step: Any, ins_step: Any, chassis_step: Any, observe: Any
-) -> Callable[..., int]:
-    """The loop from outputs to motion.
+def make_vehicle_loop(effects: Effects, chassis_step: Any, observe: Any) -> Callable[..., int]:
+    """The loop from outputs to motion: a vehicle whose actuators have the outputs of the input rows.
 
     Args:
-        chassis_effect_steps: steps of the effects on throttle, brake, steer between actuators and chassis.
-        report_step: step of the effects on the report.
-        ins_step: step of the effects on the INS.
+        effects: chains between actuators and chassis, on report and INS, by port; other ports are not used.
         chassis_step: step of the chassis.
         observe: sets the chassis's state to a measured motion.
 
     Returns:
         Kernel (params, state, input rows, simulated rows, dt_s) -> number of rows; it leaves simulated row 0 as it is.
     """
-    throttle_b, brake_b, steer_b = chassis_effect_steps
+    behind, ends = channels_of(effects, PORTS_B, Actuation), make_measurement_effects(effects)
+    tick = inlined(make_tick(BodySteps(_take_output, behind.step, chassis_step, _measure, ends.step)))
 
     @kernel
-    def run_vehicle(params: VehicleParts, state: VehicleParts, inputs: Any, simulated: Any, dt_s: float) -> int:
-        effects, chassis, report, ins = state
+    def run_vehicle(params: BodyParams, state: BodyState, inputs: Any, simulated: Any, dt_s: float) -> int:
         rows = len(inputs) // N_INPUTS
         road = Disturbance(0.0, 1.0)
         for k in range(1, rows):
             start = k * N_INPUTS
-            command, output = unpack_command(inputs, start), unpack_output(inputs, start)
-            throttle_effect, throttle = throttle_b(params.chassis_effects[0], effects[0], output.throttle_frac, dt_s)
-            brake_effect, brake = brake_b(params.chassis_effects[1], effects[1], output.brake_frac, dt_s)
-            steer_effect, steer = steer_b(params.chassis_effects[2], effects[2], output.steer_rad, dt_s)
-            effects = (throttle_effect, brake_effect, steer_effect)
-            applied = Actuation(throttle, brake, steer, command.gear)
+            chassis = state.chassis
             if is_pinned(inputs, start):
                 chassis = observe(chassis, unpack_motion(inputs, start - N_INPUTS))
-            chassis, motion = chassis_step(params.chassis, chassis, ChassisInput(applied, road), dt_s)
-            sensed = report_of(SensorInput(motion, applied, command, NO_DRIVER), IDEAL_SENSORS.noise, 0)
-            report, reported = report_step(params.report, report, sensed, dt_s)
-            ins, placed = ins_step(params.ins, ins, ins_of(IDEAL_SENSORS, motion), dt_s)
-            pack_simulated(simulated, k * N_SIMULATED, motion, reported, placed)
+            state = BodyState(unpack_output(inputs, start), state.behind, chassis, state.sensors, state.ends)
+            state, y = tick(params, state, BodyInput(unpack_command(inputs, start), NO_DRIVER, road), dt_s)
+            pack_simulated(simulated, k * N_SIMULATED, y.motion, y.measurement.report, y.measurement.ins)
         return rows
 
     return kept(run_vehicle)
