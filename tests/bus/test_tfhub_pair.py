@@ -114,6 +114,17 @@ def test_a_lost_member_is_named_and_a_name_is_taken_on_both_channels(hub, stack)
     eventually(lambda: len(hub.owner.stats().peers) <= 2)
 
 
+def test_what_is_prepared_waits_for_its_call(hub, stack):
+    ecu, controller = joined(hub, stack, "ecu"), joined(hub, stack, "controller")
+    vehicle, bench = frames_of(0, 3), frames_of(100, 2, id=0x6E0)
+    send, nothing = ecu.prepare(vehicle, bench), ecu.prepare([], [])
+    nothing()
+    ecu.vehicle.send(frames_of(50, 1))
+    send()
+    assert plain(read(controller.vehicle, 4)) == plain(frames_of(50, 1) + vehicle)
+    assert plain(read(controller.bench, 2)) == plain(bench)
+
+
 def test_only_what_one_wants(hub, stack):
     node = joined(hub, stack, "node")
     runner = open_link(choice_of(hub), "bench", LinkRequest(name="runner", only=(0x6E2,)))

@@ -33,9 +33,13 @@ def test_frames_survive(frames: list[CanFrame]) -> None:
     assert found == frames
 
 
-@given(st.lists(can_frames(fd=False), min_size=1, max_size=20))
-def test_the_fast_reader_agrees(frames: list[CanFrame]) -> None:
-    assert records.plain_frames(records.pack_frames(frames)) == (frames, [])
+@given(st.lists(can_frames(fd=False), min_size=1, max_size=20), st.lists(can_frames(), max_size=20))
+def test_the_fast_reader_agrees(classic: list[CanFrame], others: list[CanFrame]) -> None:
+    for frames in (classic, classic + others, others + classic):
+        packed, second = records.pack_frames(frames), records.pack_frames(frames, records.SECOND_FRAME)
+        assert second == records.mark_second_channel(packed, len(frames))
+        assert records.plain_frames(packed) == (frames, [])
+        assert records.plain_frames(packed + second) == (frames, frames)
 
 
 @pytest.mark.parametrize(
@@ -43,7 +47,6 @@ def test_the_fast_reader_agrees(frames: list[CanFrame]) -> None:
     [
         records.pack_raw(records.Raw(5 | records.RTR_FLAG, b"", length=3)),
         records.pack_raw(records.Raw(5 | records.ERR_FLAG, bytes(8))),
-        records.pack_frames([CanFrame(5, bytes(12), False, True)]),
         records.pack_control(records.PEER_GONE, {"name": "ecu"}),
         records.pack_frames([CanFrame(5, b"")])[:-1],
     ],

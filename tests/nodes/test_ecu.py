@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -15,6 +15,7 @@ from tunefree_hil.base.records import GEAR_DRIVE, GEAR_NONE, CanFrame, Command
 from tunefree_hil.bench import VehicleFor, load
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.dbc.integrity import E2eStatus
 from tunefree_hil.bus.link import separate_links
 from tunefree_hil.nodes.command_decoder import CommandDecoder
 from tunefree_hil.nodes.ecu import EcuPart
@@ -64,8 +65,9 @@ class Car:
     def tick(self, frames: list[CanFrame] | None = None) -> dict[str, dict[str, float]]:
         """Publish and step once; the decoded frames by message."""
         sent = self.part._publish(self.k, self.k)
-        heard = self.part._receive(self.exchange, self.k, self.commands() if frames is None else frames)
-        self.part._step(self.exchange, self.k, heard)
+        heard = self.part._decode(self.commands() if frames is None else frames)
+        self.part._step(self.k, heard)
+        self.part._announce_faults(self.exchange, self.k)
         self.k += 1
         return {self.codec.by_id[one.id].name: self.codec.decode(self.codec.by_id[one.id], one.data) for one in sent}
 
@@ -233,6 +235,13 @@ def answers(car: Car, ticks: int, said: Any = None) -> tuple[list[list[CanFrame]
     return vehicle.sent, batches
 
 
+class FakeExchange:
+    """Takes what the ECU announces."""
+
+    def prepare(self, k: int, phase: int, frames: list[CanFrame], *before: Any) -> Any:
+        return lambda: None
+
+
 def run_lockstep(car: Car, ticks: int, said: Any = None, last: Any = None) -> FakeLink:
     vehicle, bench = FakeLink(), FakeLink()
     vehicle.later, bench.later = answers(car, ticks, said)
@@ -254,6 +263,38 @@ def test_lockstep_opens_each_tick_and_ends_with_the_course(car: Car) -> None:
     opened = [message.k for message in bench.words() if isinstance(message, bc.Tick)]
     assert opened == list(range(ticks)) and ticks == 200
     assert bench.words()[-1] == bc.Status(bc.Role.ECU, bc.State.FINISHED, 0, ticks)
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+def test_the_commands_of_every_tick_are_decoded(car: Car, ahead: bool) -> None:
+    """Those of the last tick too, where a vehicle steps ahead of them."""
+    assign = car.part.assign
+    car.part.assign = lambda scenario, seed: assign(scenario, seed)._replace(ahead=ahead)
+    run_lockstep(car, car.part.car.course.ticks)
+    counts = car.part._decoder.reception.receivers["STEERING_CMD"].counts
+    assert counts[E2eStatus.OK] + counts[E2eStatus.INITIAL] == car.part.car.course.ticks == sum(counts)
+    failed = bc.Status(bc.Role.CONTROLLER, bc.State.FAILED, int(bc.ErrorCode.LEFT_LANE), 4)
+    run_lockstep(car, 5, said=failed)
+    assert sum(car.part._decoder.reception.receivers["STEERING_CMD"].counts) == 5
+
+
+def test_a_vehicle_that_steps_ahead_announces_a_fault_after_the_controllers_done(car: Car) -> None:
+    """Which of the two comes first must not depend on who computes faster: each fault is seen in a later wait."""
+    assign, waited, announced = car.part.assign, [], []
+    car.part.assign = lambda scenario, seed: assign(scenario, seed)._replace(ahead=True)
+    car.load()
+
+    class Controller(FakeExchange):
+        def await_phase(self, k: int, phase: int, interrupt: Any) -> list[CanFrame]:
+            waited.append(k)
+            return []
+
+        def send_messages(self, *messages: Any, k: int = 0) -> None:
+            announced.extend((message.tick, list(waited)) for message in messages if isinstance(message, bc.Fault))
+
+    car.part._cause = 99.0  # so that the first step changes it
+    car.part.lockstep(cast(Exchange, Controller()), lambda message: False)
+    assert announced == [(0, [0])]
 
 
 def test_a_failure_the_controller_says_ends_the_episode_at_its_tick(car: Car) -> None:

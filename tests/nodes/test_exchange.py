@@ -51,6 +51,32 @@ def test_an_extended_id_is_another_id() -> None:
     assert exchange.await_phase(0, 0, never) == [CanFrame(0x100, b"y", True)]
 
 
+def test_a_long_id_comes_after_every_short_one() -> None:
+    ids = frozenset({0x61, 0x60 | EXTENDED_FLAG})
+    exchange = Exchange(separate_links(vehicle := FakeLink(), FakeLink()), (ids, COMMANDS), 0.01)
+    exchange.announce(0, 0, [CanFrame(0x60, b"long", True), CanFrame(0x61, b"short")])
+    assert [frame.id for frame in vehicle.frames()] == [0x61, 0x60]
+
+
+def test_what_is_prepared_waits_for_its_call() -> None:
+    exchange, vehicle, bench = exchange_of()
+    send = exchange.prepare(8, 0, [FRAMES[2], FRAMES[0]], bc.Tick(8))
+    assert vehicle.sent == bench.sent == []
+    send()
+    assert vehicle.sent == [[FRAMES[0], FRAMES[2]]]
+    assert bench.words() == [bc.Tick(8), done_of(8, 0, [FRAMES[0], FRAMES[2]])]
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+def test_without_long_ids_the_order_is_the_same(order: tuple[int, ...]) -> None:
+    vehicle, bench = FakeLink(), FakeLink()
+    exchange = Exchange(separate_links(vehicle, bench), (frozenset({0x61, 0x63}), COMMANDS), 0.01)
+    frames = [FRAMES[i] for i in order]
+    vehicle.arrive(*frames, CanFrame(0x63, b"long", True))
+    bench.say(done_of(0, 0, frames))
+    assert exchange.await_phase(0, 0, never) == sorted(frames, key=can_key)
+
+
 @pytest.mark.parametrize("order", list(permutations(range(4))))
 def test_frames_come_in_id_and_sequence_order(order: tuple[int, ...]) -> None:
     """Any order of ids gives the same hand-over; two frames of one id keep theirs."""

@@ -106,6 +106,39 @@ def test_the_age_of_a_message(codec: Codec) -> None:
     assert MeasurementDecoder(codec, 0.01).missing(21, needed) == (INS, ["INS_POS_LOCAL"])
 
 
+@given(st.lists(st.sets(st.sampled_from(["INS_POS_LOCAL", "STEERING_REPORT"])), min_size=40, max_size=90))
+def test_asked_at_every_tick_it_finds_the_same_as_asked_once(codec: Codec, received: list[set[str]]) -> None:
+    """The first tick at which a message is missing, whatever was answered before it."""
+    needed = {INS: ["INS_POS_LOCAL"], CHASSIS: ["STEERING_REPORT"]}
+    decoder, last = MeasurementDecoder(codec, 0.01), {"INS_POS_LOCAL": 0, "STEERING_REPORT": 0}
+    for k, names in enumerate(received):
+        decoder.receive(k, [frame(codec, name) for name in names])
+        last |= dict.fromkeys(names, k)
+        late = [(group, names) for group, names in needed.items() if k - last[names[0]] > 20]
+        assert decoder.missing(k, needed) == (late[0] if late else None)
+
+
+PAYLOAD = st.binary(min_size=8, max_size=9)
+
+
+@given(st.lists(st.tuples(st.sampled_from(ENABLED), st.sampled_from([8, 8, 5]), PAYLOAD), max_size=12))
+def test_what_was_heard_before_leaves_no_trace(codec: Codec, heard: list[tuple[str, int, bytes]]) -> None:
+    """Values and state bits are those of a decoder that heard the last payload of each message only.
+
+    The lower bytes, with values only, change more often than the rest, which is where state bits are told.
+    """
+    decoder, last = MeasurementDecoder(codec, 0.01), {}
+    for k, (name, keep, payload) in enumerate(heard):
+        data = payload[:keep] + bytes(8 - keep)
+        last[name] = CanFrame(codec.by_name[name].can_id, data)
+        decoder.receive(k, [last[name]])
+        decoder.state()
+    fresh = MeasurementDecoder(codec, 0.01)
+    fresh.receive(0, last.values())
+    assert decoder.state() == fresh.state()
+    assert repr(decoder.measurement()) == repr(fresh.measurement())
+
+
 def test_a_longer_tick_has_fewer_ticks_in_its_limit(codec: Codec) -> None:
     needed = {CHASSIS: ["GYRO"]}
     assert MeasurementDecoder(codec, 0.02).missing(10, needed) is None

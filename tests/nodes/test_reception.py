@@ -123,3 +123,15 @@ def test_short_frames_alone_are_silence_too(codec: Codec) -> None:
 
 def test_a_notice_in_words() -> None:
     assert str(Notice(12, "STATE", "wrong CRC")) == "tick 12: STATE: wrong CRC"
+
+
+def test_frames_in_time_let_extra_ones_be_forgotten(codec: Codec) -> None:
+    """Two copies now and two later are no flood; two and two at once are one."""
+    message, told = codec.by_name["GYRO"], []
+    for ticks_between in (1, 8):
+        reception = Reception(codec.telemetry)
+        for tick in range(ticks_between + 1):
+            for _ in range(3 if tick in (0, ticks_between) else 1):
+                reception.receive(message, bytes(message.length), tick)
+        told.append(reception.too_many)
+    assert told == [{"GYRO": 2}, {}]

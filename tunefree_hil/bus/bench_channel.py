@@ -166,13 +166,13 @@ _BY_TYPE: dict[type, tuple[int, struct.Struct]] = {
 _BY_ID: dict[int, tuple[type, struct.Struct]] = {can_id: (kind, form) for kind, (can_id, form) in _BY_TYPE.items()}
 
 
-def encode(message: Any) -> CanFrame:
-    """The frame of a bench message. Raises InputError when a value does not fit its place."""
+def encode(message: Any, stamp_s: float = 0.0) -> CanFrame:
+    """The frame of a bench message, stamped. Raises InputError when a value does not fit its place."""
     try:
         if isinstance(message, Hello):
-            return CanFrame(HELLO_ID, _pack_hello(message))
+            return CanFrame(HELLO_ID, _pack_hello(message), time_s=stamp_s)
         can_id, form = _BY_TYPE[type(message)]
-        return CanFrame(can_id, form.pack(*message))
+        return CanFrame(can_id, form.pack(*message), False, False, stamp_s)
     except (struct.error, OverflowError) as error:
         raise InputError(
             f"{message!r} does not fit its frame: {error}",

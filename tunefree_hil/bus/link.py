@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from typing import NamedTuple, Protocol
 
 from tunefree_hil.base.errors import BenchError, InputError
@@ -99,12 +100,23 @@ class PairLink:
         self._pair.close()
 
 
+Sending = Callable[[], None]
+
+
 class Links(NamedTuple):
-    """Both channels of a node. `send_both(vehicle, bench)`: the vehicle's frames first, in as few writes as can be."""
+    """Both channels of a node.
+
+    `prepare(vehicle, bench)` makes ready what can be before the moment to send; the function that it gives sends the
+    vehicle's frames first, in as few writes as can be.
+    """
 
     vehicle: BusLink
     bench: BusLink
-    send_both: Callable[[Sequence[CanFrame], Sequence[CanFrame]], None]
+    prepare: Callable[[Sequence[CanFrame], Sequence[CanFrame]], Sending]
+
+    def send_both(self, vehicle: Sequence[CanFrame], bench: Sequence[CanFrame]) -> None:
+        """Send at once."""
+        self.prepare(vehicle, bench)()
 
     def close(self) -> None:
         """Leave both."""
@@ -121,7 +133,7 @@ def separate_links(vehicle: BusLink, bench: BusLink) -> Links:
         if bench_frames:
             bench.send(bench_frames)
 
-    return Links(vehicle, bench, send_both)
+    return Links(vehicle, bench, partial(partial, send_both))
 
 
 class CanLink:

@@ -135,7 +135,7 @@ def open_links(choice: BusChoice, request: LinkRequest) -> Links:
     if vehicle[0] == bench[0] == "tfhub" and _session_of(vehicle[2]) == _session_of(bench[2]):
         pair = HubPair(_endpoint_of(vehicle[2], "vehicle"), name=request.name, stamps=request.stamps)
         _require_clock(pair.welcome, request.clock, pair.close)
-        return Links(PairLink(pair, 0), PairLink(pair, 1), pair.send)
+        return Links(PairLink(pair, 0), PairLink(pair, 1), pair.prepare)
     vehicle_link = open_link(choice, "vehicle", request if vehicle[0] == "socketcan" else request._replace(only=()))
     patient = Options(alive=request.options.alive)
     try:

@@ -35,7 +35,7 @@ class CommandDecoder:
         channels: dict[str, Any] = {}
         for frame in frames:
             message = self.codec.by_id[can_key(frame)]
-            if self.reception.receive(message, frame.data, self.tick):
+            if self.reception.receive(message, frame.data, self.tick) and message.bywire:
                 self._take(message, frame.data, channels)
         self.reception.end_tick(self.tick)
         self.tick += 1

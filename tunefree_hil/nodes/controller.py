@@ -65,6 +65,7 @@ class ControllerPart:
         self.times = times
         self.print_line = print_line
         self._writer = FrameWriter(codec)
+        self._signals: dict[tuple[MessageMap, float, float], dict[str, float]] = {}  # enable and clear, made once
         self._failed = 0
 
     def load(self, scenario: bytes, seed: int, parameters: dict[int, float]) -> None:
@@ -148,12 +149,13 @@ class ControllerPart:
         return bc.Status(self.role, bc.State.FAILED, int(code), k)
 
     def _frames(self, k: int, command: Any) -> list[CanFrame]:
-        enable = 1.0 if self.handshake.enable else 0.0
+        enable, clear_now = (1.0 if self.handshake.enable else 0.0), self.handshake.clear_now
+        records = {"command": command} if enable else ASKS_NOTHING
         return [
-            self._frame(k, message, {"command": command} if enable else ASKS_NOTHING, enable, 0.0)
+            self._frame(k, message, records, enable, 0.0)
             for message in self.codec.commands
-            if k % message.period_ticks == 0 and not (self.handshake.clear_now and message.clear)
-        ] + (self._clear_frames(k) if self.handshake.clear_now else [])
+            if k % message.period_ticks == 0 and not (clear_now and message.clear)
+        ] + (self._clear_frames(k) if clear_now else [])
 
     def _clear_frames(self, k: int) -> list[CanFrame]:
         """Clear frames: of DLC 4 where the vehicle accepts them and the clear bit lies in them, else whole frames.
@@ -176,10 +178,13 @@ class ControllerPart:
         """Commands without their enable bit: sent once when the drive ends, then nothing."""
         return [self._frame(k, message, ASKS_NOTHING, 0.0, 0.0) for message in self.codec.commands if message.enable]
 
-    def _frame(self, k: int, message: Any, records: dict[str, Any], enable: float, clear: float) -> CanFrame:
-        signals = {}
-        if message.enable:
-            signals[message.enable] = enable
-        if message.clear:
-            signals[message.clear] = clear
+    def _frame(self, k: int, message: MessageMap, records: dict[str, Any], enable: float, clear: float) -> CanFrame:
+        key = message, enable, clear
+        signals = self._signals.get(key)
+        if signals is None:
+            signals = self._signals[key] = {}
+            if message.enable:
+                signals[message.enable] = enable
+            if message.clear:
+                signals[message.clear] = clear
         return self._writer.write(message, records, signals, k * self.task.dt_s)

@@ -14,6 +14,7 @@ from tunefree_hil.base.course import Course
 from tunefree_hil.base.records import CanFrame, Disturbance
 from tunefree_hil.bus import bench_channel as bc
 from tunefree_hil.bus.dbc.codec import Codec
+from tunefree_hil.bus.link import Sending
 from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.nodes.command_decoder import CommandDecoder
 from tunefree_hil.nodes.exchange import Exchange
@@ -68,6 +69,7 @@ class EcuPart:
         self._writer.restart()
         self._faults = FaultFilter(self.car.faults)
         self._cause = 0.0
+        self._causes: list[bc.Fault] = []  # of the watchdog, not announced yet
         self._failure = 0
 
     def _start_vehicle(self) -> None:
@@ -80,38 +82,41 @@ class EcuPart:
     def lockstep(self, exchange: Exchange, stopped: Callable[[Any], bool]) -> None:
         """Open tick after tick; end with the course, a failure of the controller, or a request.
 
-        A vehicle that steps ahead does so while the controller computes; its frames are then ready when the tick ends.
+        A vehicle that steps ahead decodes the commands of the tick before, and steps, while the controller computes;
+        its frames are then packed when the tick ends.
         """
         self.times.begin()
         self._stopped = stopped
         self._decoder.reception.expect_every_period()
-        ahead, heard, spent_s = self.car.ahead, ReceivedCommand(), 0.0
-        frames = self._publish(0, 0)
-        ticks = 0
+        ahead, arrived, ticks = self.car.ahead, None, 0
+        announce = exchange.prepare(0, 0, self._publish(0, 0), bc.Tick(0))
         for k in range(self.car.course.ticks):
-            exchange.announce(k, 0, frames, bc.Tick(k))
+            announce()
+            started = time.perf_counter()
             if ahead:
-                started = time.perf_counter()
-                frames = self._advance(exchange, k, heard)
-                spent_s = time.perf_counter() - started
+                received = ReceivedCommand() if arrived is None else self._decode(arrived)
+                announce = self._advance(exchange, k, received)
+            spent_s = time.perf_counter() - started
             arrived = exchange.await_phase(k, 1, self._interrupt)
             if arrived is None:
                 self._failure = self._failure or int(bc.ErrorCode.STOPPED)
                 break
             started = time.perf_counter()
-            heard = self._receive(exchange, k, arrived)
             if not ahead:
-                frames = self._advance(exchange, k, heard)
+                announce = self._advance(exchange, k, self._decode(arrived))
+            self._announce_faults(exchange, k)
             self.times.note(0.0, spent_s + time.perf_counter() - started)
             ticks = k + 1
             if self._failure:
                 break
+        if ahead and arrived is not None:
+            self._decode(arrived)  # for the counts and the notices of the last tick
         self._end(exchange, ticks)
 
-    def _advance(self, exchange: Exchange, k: int, heard: ReceivedCommand) -> list[CanFrame]:
-        """The step of tick k, and the frames of the tick after it."""
-        self._step(exchange, k, heard)
-        return self._publish(k + 1, k + 1)
+    def _advance(self, exchange: Exchange, k: int, received: ReceivedCommand) -> Sending:
+        """The step of tick k, and the announcement of the tick after it."""
+        self._step(k, received)
+        return exchange.prepare(k + 1, 0, self._publish(k + 1, k + 1), bc.Tick(k + 1))
 
     def realtime(self, exchange: Exchange, clock: Clock, zero_s: float, stopped: Callable[[Any], bool]) -> None:
         """At each deadline: publish the state reached, then step with the commands stamped before the deadline."""
@@ -127,7 +132,8 @@ class EcuPart:
             exchange.announce(k, 0, self._publish(k, k + 1), bc.Tick(k))
             if exchange.interrupted(self._interrupt):
                 self._failure = self._failure or int(bc.ErrorCode.STOPPED)
-            self._step(exchange, k, self._receive(exchange, k, exchange.take_before(1, deadline_s)))
+            self._step(k, self._decode(exchange.take_before(1, deadline_s)))
+            self._announce_faults(exchange, k)
             self.times.note(late_s, time.perf_counter() - started)
             ticks = k + 1
             if self._failure:
@@ -147,7 +153,7 @@ class EcuPart:
         self.times.save("ecu", reception.troubles())
         if words := reception.summary():
             self.print_line(f"ecu: received: {words}")
-        exchange.send_messages(bc.Status(self.role, state, self._failure, ticks), k=ticks)
+        exchange.send_messages(*self._causes, bc.Status(self.role, state, self._failure, ticks), k=ticks)
 
     def _publish(self, k: int, used_at: int) -> list[CanFrame]:
         """What is sent at tick k: the frames that are due at the tick that uses them."""
@@ -163,22 +169,30 @@ class EcuPart:
         ]
         return self._faults.apply(k, frames, car.dt_s)
 
-    def _receive(self, exchange: Exchange, k: int, frames: Sequence[CanFrame]) -> ReceivedCommand:
-        """Decode the command frames of tick k; announce faults that begin there, print notices."""
-        heard = self._decoder.receive(frames)
-        for fault in self._faults.begun(k):
-            exchange.send_messages(bc.Fault(self.role, fault.index, fault.code, k), k=k)
+    def _announce_faults(self, exchange: Exchange, k: int) -> None:
+        """Announce the scripted faults that begin at tick k, and the watchdog's: after the controller's DONE.
+
+        Where the vehicle steps ahead, the order of the two would else be chance.
+        """
+        scripted = [bc.Fault(self.role, fault.index, fault.code, k) for fault in self._faults.begun(k)]
+        if scripted or self._causes:
+            exchange.send_messages(*scripted, *self._causes, k=k)
+            self._causes.clear()
+
+    def _decode(self, frames: Sequence[CanFrame]) -> ReceivedCommand:
+        """Decode the command frames of one tick, and print notices."""
+        received = self._decoder.receive(frames)
         for notice in self._decoder.reception.notices():
             self.print_line(f"ecu: {notice}")
-        return heard
+        return received
 
-    def _step(self, exchange: Exchange, k: int, heard: ReceivedCommand) -> None:
+    def _step(self, k: int, received: ReceivedCommand) -> None:
         car = self.car
         road = Disturbance(float(car.course.grade_rad[k]), float(car.course.friction_frac[k]))
-        x = UnitInput(heard, car.driver(k), road)
+        x = UnitInput(received, car.driver(k), road)
         self._state, self._output = car.unit.step(self._params, self._state, x, car.dt_s)
         cause = self._output.status.watchdog_cause
         if cause != self._cause:
             self._cause = cause
             self.print_line(f"ecu: tick {k}: watchdog: {cause_name(cause)}; brakes applied")
-            exchange.send_messages(bc.Fault(self.role, bc.NOT_SCRIPTED, int(cause), k), k=k)
+            self._causes.append(bc.Fault(self.role, bc.NOT_SCRIPTED, int(cause), k))

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from operator import itemgetter
 from typing import Any
 
 from tunefree_hil.base.errors import BenchError, NoAnswer, PeerGone
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus import bench_channel as bc
-from tunefree_hil.bus.link import Links
+from tunefree_hil.bus.dbc.message_map import EXTENDED_FLAG
+from tunefree_hil.bus.link import Links, Sending
 from tunefree_hil.bus.recording.frame_attribution import PHASE_ROLES, can_key, digest
 
 HARD_LIMIT_S = 5.0
@@ -37,7 +40,7 @@ class Exchange:
     ) -> None:
         self.vehicle = links.vehicle
         self.bench = links.bench
-        self._send_both = links.send_both
+        self._prepare = links.prepare
         self.ids_of_phase = ids_of_phase
         self.tick_s = tick_s
         self.inbox: list[Any] = []  # bench messages not read yet
@@ -45,7 +48,9 @@ class Exchange:
         self.heard = 0  # frames of the other node that were taken in real time
         self.refused = 0  # frames that a full transmit queue did not take in time (`drops`)
         self._drops = drops
-        self._frames: tuple[list[CanFrame], list[CanFrame]] = ([], [])
+        self._frames: list[list[CanFrame]] = [[], []]  # by phase
+        is_plain = all(key < EXTENDED_FLAG for ids in ids_of_phase for key in ids)
+        self._order: Callable[[CanFrame], int] = itemgetter(0) if is_plain else can_key  # the same, where no id is long
 
     def send_messages(self, *messages: Any, k: int = 0) -> None:
         """Send bench messages, stamped with tick k."""
@@ -53,18 +58,23 @@ class Exchange:
 
     def _bench_frames(self, messages: Iterable[Any], k: int) -> list[CanFrame]:
         stamp_s = k * self.tick_s
-        return [bc.encode(message)._replace(time_s=stamp_s) for message in messages]
+        return [bc.encode(message, stamp_s) for message in messages]
 
     def announce(self, k: int, phase: int, frames: list[CanFrame], *before: Any) -> None:
         """Send this phase's vehicle frames, then `before` and DONE on the bench channel."""
-        frames.sort(key=can_key)
+        self.prepare(k, phase, frames, *before)()
+
+    def prepare(self, k: int, phase: int, frames: list[CanFrame], *before: Any) -> Sending:
+        """`announce` in two steps: all that can be made ready now, the rest when the returned function is called."""
+        frames.sort(key=self._order)
         if self._drops:
-            frames = self._send_what_goes(frames)
-            bench_frames = self._bench_frames((*before, bc.Done(k, phase, len(frames), digest(frames))), k)
-            self.bench.send(bench_frames)
-            return
+            return partial(self._announce_what_goes, k, phase, frames, before)
         done = bc.Done(k, phase, len(frames), digest(frames))
-        self._send_both(frames, self._bench_frames((*before, done), k))
+        return self._prepare(frames, self._bench_frames((*before, done), k))
+
+    def _announce_what_goes(self, k: int, phase: int, frames: list[CanFrame], before: tuple[Any, ...]) -> None:
+        frames = self._send_what_goes(frames)
+        self.bench.send(self._bench_frames((*before, bc.Done(k, phase, len(frames), digest(frames))), k))
 
     def _send_what_goes(self, frames: list[CanFrame]) -> list[CanFrame]:
         """Real time on a bus whose queue may be full: what was taken; the rest is dropped and counted."""
@@ -114,7 +124,7 @@ class Exchange:
         if done is None:
             return None
         frames = self._await_frames(k, phase, done.n_tx)
-        frames.sort(key=can_key)
+        frames.sort(key=self._order)
         if digest(frames) != done.digest:
             surplus = f"{len(frames) - done.n_tx} more came" if len(frames) > done.n_tx else "their contents differ"
             raise BenchError(
@@ -129,7 +139,7 @@ class Exchange:
         limit_s = time.monotonic() + HARD_LIMIT_S
         while True:
             for i, message in enumerate(self.inbox):
-                if isinstance(message, bc.Done) and message.phase == phase and message.k == k:
+                if type(message) is bc.Done and message.phase == phase and message.k == k:
                     del self.inbox[: i + 1]
                     return message
                 self._notice_leaving(k, message)
@@ -162,19 +172,19 @@ class Exchange:
                     f"tick {k}: the {PHASE_ROLES[phase]} announced {n_tx} frames, {len(waiting)} arrived ({ids})",
                     code="frames_missing",
                 )
-        frames = list(waiting)
-        waiting.clear()
-        return frames
+        self._frames[phase] = []
+        return waiting
 
     def sort_in(self, frames: Iterable[CanFrame]) -> None:
         """Put arrived frames to their phase; those that are in neither set are left out."""
         telemetry, commands = self.ids_of_phase
+        reports, orders = self._frames
         for frame in frames:
-            key = can_key(frame)
+            key = frame[0] | EXTENDED_FLAG if frame[2] else frame[0]  # can_key
             if key in telemetry:
-                self._frames[0].append(frame)
+                reports.append(frame)
             elif key in commands:
-                self._frames[1].append(frame)
+                orders.append(frame)
 
     def take_before(self, phase: int, stamp_s: float) -> list[CanFrame]:
         """Real time: the frames of a phase stamped before `stamp_s`; later ones stay for the next cycle."""

@@ -9,8 +9,7 @@ from collections.abc import Iterable, Mapping
 
 from tunefree_hil.base.records import CanFrame, Measurement
 from tunefree_hil.bus.dbc.codec import Codec, Snapshot
-from tunefree_hil.bus.dbc.message_map import MessageMap
-from tunefree_hil.nodes.exchange import can_key
+from tunefree_hil.bus.dbc.message_map import EXTENDED_FLAG, MessageMap
 from tunefree_hil.nodes.handshake import VehicleState
 from tunefree_hil.nodes.reception import Reception
 
@@ -38,23 +37,40 @@ class MeasurementDecoder:
             message.name for message in codec.telemetry if any(state.condition == "enabled" for state in message.states)
         }
         self._active: dict[str, frozenset[str]] = {}
+        self._state: VehicleState | None = None  # None: to be made anew from `_active`
         self._payload: dict[str, bytes] = {}
+        self._state_masks = {message.name: _state_mask(message) for message in codec.telemetry if message.states}
+        self._state_bits: dict[str, int] = {}  # the latest bits of `_state_masks`
+        self._needed: Mapping[str, Iterable[str]] = {}
+        self._safe_until = -1  # up to this tick nothing of `_needed` can be missing
 
     def receive(self, tick: int, frames: Iterable[CanFrame]) -> None:
         """Take in frames that have arrived by tick `tick`."""
-        for frame in frames:
-            message = self.codec.by_id[can_key(frame)]
-            if not self.reception.receive(message, frame.data, tick):
+        by_id, payloads, reception = self.codec.by_id, self._payload, self.reception
+        for can_id, data, extended, _, _ in frames:
+            message = by_id[can_id | EXTENDED_FLAG if extended else can_id]  # can_key
+            if not reception.receive(message, data, tick):
                 continue
-            self.heard_at[message.name] = tick
-            if self._payload.get(message.name) == frame.data:
+            name = message.name
+            self.heard_at[name] = tick
+            if payloads.get(name) == data:
                 continue  # nothing new in it
-            self._payload[message.name] = frame.data
+            payloads[name] = data
             if message.states:
-                self._note_bits(message, self.snapshot.receive(message, frame.data))
+                self._take_states(message, data)
             else:
-                self.snapshot.take(message, frame.data)
-        self.reception.end_tick(tick)
+                self.snapshot.take(message, data)
+        reception.end_tick(tick)
+
+    def _take_states(self, message: MessageMap, data: bytes) -> None:
+        """Take in a payload with state bits, which are looked at where they have changed."""
+        mask, name = self._state_masks[message.name], message.name
+        bits = int.from_bytes(data, "little") & mask if mask and len(data) == message.length else -1
+        if bits >= 0 and self._state_bits.get(name) == bits:
+            self.snapshot.take(message, data)
+            return
+        self._state_bits[name] = bits
+        self._note_bits(message, self.snapshot.receive(message, data))
 
     def _note_bits(self, message: MessageMap, decoded: Mapping[str, float]) -> None:
         active = set()
@@ -68,16 +84,19 @@ class MeasurementDecoder:
             elif hit:
                 active.add(state.condition)
         self._active[message.name] = frozenset(active)
+        self._state = None
 
     def state(self) -> VehicleState:
         """All channels together: enabled where every enable bit is set; override or fault where any is."""
-        together = frozenset[str]().union(*self._active.values())
-        return VehicleState(
-            known=self._enable_messages <= self._active.keys(),
-            enabled="disabled" not in together,
-            override="override" in together,
-            fault=bool(together & {"fault", "timeout", "watchdog"}),
-        )
+        if self._state is None:
+            together = frozenset[str]().union(*self._active.values())
+            self._state = VehicleState(
+                known=self._enable_messages <= self._active.keys(),
+                enabled="disabled" not in together,
+                override="override" in together,
+                fault=bool(together & {"fault", "timeout", "watchdog"}),
+            )
+        return self._state
 
     def measurement(self) -> Measurement:
         """The latest values received; NaN before the first."""
@@ -89,19 +108,36 @@ class MeasurementDecoder:
         That is: no valid frame for 0.2 s, or as long as a slower message takes. `needed` names messages by
         group; protected ones all count.
         """
+        if needed is self._needed and tick <= self._safe_until:
+            return None
+        safe_until = tick + self.limit_ticks
         for group, messages in needed.items():
             protected = [name for name, own in self._protected.items() if own == group]
-            names = dict.fromkeys([*messages, *protected])
-            late = [
-                name for name in names if tick - self.heard_at.get(name, 0) > self._limits.get(name, self.limit_ticks)
-            ]
+            last_ticks = {
+                name: self.heard_at.get(name, 0) + self._limits.get(name, self.limit_ticks)
+                for name in [*messages, *protected]
+            }
+            late = [name for name, last in last_ticks.items() if tick > last]
             if late:
                 return group, late
+            safe_until = min([safe_until, *last_ticks.values()])
+        self._needed, self._safe_until = needed, safe_until
         return None
 
     def why(self, name: str) -> str:
         """A missing message as text, with its E2E status where it is protected."""
         return f"{name} ({self.reception.status(name).words})" if name in self._protected else name
+
+
+def _state_mask(message: MessageMap) -> int:
+    """The bits of a payload, as a little-endian integer, that its states look at; 0 where one cannot be read there."""
+    mask = 0
+    for name in {state.signal for state in message.states}:
+        signal = message.signals[name]
+        if signal.big_endian or signal.is_float:
+            return 0
+        mask |= signal.mask << signal.shift
+    return mask
 
 
 def _group(message: MessageMap) -> str:

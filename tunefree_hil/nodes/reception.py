@@ -61,8 +61,8 @@ class Reception:
 
     def __init__(self, messages: Iterable[MessageMap]) -> None:
         self.receivers = {message.name: Receiver(message) for message in messages}
-        self._extra_frames = {
-            name: _ExtraFrames(receiver.message.period_ticks) for name, receiver in self.receivers.items()
+        self._watched = {
+            name: (receiver, _ExtraFrames(receiver.message.period_ticks)) for name, receiver in self.receivers.items()
         }
         self._seen: set[tuple[str, str]] = set()
         self._new: list[Notice] = []
@@ -76,23 +76,25 @@ class Reception:
 
     def receive(self, message: MessageMap, data: bytes, tick: int) -> bool:
         """Take in a frame that has arrived by `tick`; whether its values may be taken."""
-        if message.e2e is None and not message.fits(data):  # of a protected one the CRC is wrong
+        if len(data) < message.length and message.e2e is None and not message.fits(data):  # else the CRC is wrong
             self.too_short[message.name] = self.too_short.get(message.name, 0) + 1
             self._notice(tick, message.name, TOO_SHORT)
             return False
-        receiver = self.receivers[message.name]
+        receiver, extra = self._watched[message.name]
         status = receiver.receive(tick, data)
-        if status not in UNREMARKABLE:
+        if status is not E2eStatus.OK and status is not E2eStatus.INITIAL:
             self._notice(tick, message.name, status.words)
-        if self._extra_frames[message.name].receive(tick):
+        if extra.extra == 0.0 and tick - extra.last_tick == extra.period:
+            extra.last_tick = tick  # as extra.receive does for a frame in time
+        elif extra.receive(tick):
             self.too_many[message.name] = self.too_many.get(message.name, 0) + 1
             self._notice(tick, message.name, TOO_MANY)
-        return receiver.is_valid
+        return message.e2e is None or receiver.is_valid
 
     def end_tick(self, tick: int) -> None:
         """End a tick: notice overdue messages."""
         for name, receiver in self.receivers.items():
-            if receiver.end_tick(tick):
+            if tick >= receiver.due_at and receiver.end_tick(tick):
                 self._notice(tick, name, E2eStatus.NO_NEW_DATA.words)
 
     def status(self, name: str) -> E2eStatus:

@@ -1,7 +1,7 @@
 """Conducts episodes over the bench channel: waits for the nodes, sends episode and parameters, reports the end.
 
-The runner is no part of the lockstep: the ECU owns time, so a slow runner slows nothing. It reads the bench channel
-every few milliseconds and reports a silence of 5 s.
+The runner is no part of the lockstep: the ECU owns time, so a slow runner slows nothing. It waits for messages of the
+bench channel and reports a silence of 5 s.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from tunefree_hil.bus.tfhub.owner import Owner
 from tunefree_hil.control.parameters import NAMES
 from tunefree_hil.nodes.exchange import HARD_LIMIT_S
 
-LOOK_S = 0.005
+LOOK_S = 0.05  # how often it looks at the processes while no message comes
+LATE_S = 0.005  # how much later than the ECU the controller may report its own end
 LOAD_LIMIT_S = 120.0  # a jitted plant compiles while it loads
 SILENT_LIMIT_S = HARD_LIMIT_S + 2.0  # the waiting node reports it first, with more detail
 LEAVING_LOOKS, LEAVING_LOOK_S = 8, 0.25  # a process that announced its end still needs a moment
@@ -137,8 +138,7 @@ class Runner:
         self.bench.send([bc.encode(message) for message in messages])
 
     def _receive(self) -> list[Any]:
-        time.sleep(LOOK_S)
-        frames = self.bench.receive(0.0)
+        frames = self.bench.receive(LOOK_S)
         self.check()
         return [message for frame in frames if (message := bc.decode(frame)) is not None]
 
@@ -202,7 +202,7 @@ class Runner:
         """The controller's failure in the last tick, which in real time may arrive after the ECU's end; 0: none.
         Left on the bus it would count as a failure to load the next episode.
         """
-        time.sleep(LOOK_S)
+        time.sleep(LATE_S)
         messages = [bc.decode(frame) for frame in self.bench.receive(0.0)]
         statuses = [
             message for message in messages if isinstance(message, bc.Status) and message.role == bc.Role.CONTROLLER

@@ -35,6 +35,22 @@ def test_written_frames_are_believed_one_after_the_other(vehicle: str, tmp_path:
             assert receiver.is_valid == (n >= message.unproven_frames)
 
 
+@pytest.mark.parametrize("vehicle", ["little_fd", "mkz_bywire", "rav4_2017"])
+def test_frames_are_those_of_the_codec(vehicle: str, tmp_path: Path) -> None:
+    """With the same signals again, with other ones, and the counter counted on."""
+    codec = codec_of(vehicle, tmp_path)
+    writer = FrameWriter(codec)
+    for message in (*codec.commands, *codec.telemetry):
+        if message.e2e is not None:
+            continue
+        names = {message.enable, message.clear, *(state.signal for state in message.states)} - {""}
+        ones, zeros = dict.fromkeys(names, 1.0), dict.fromkeys(names, 0.0)
+        for n, signals in enumerate([ones, ones, zeros, ones, dict(zeros), zeros]):
+            records = {"command": Command(0.1 * n, 0.2, -0.5, 4.0), "report": Report()._replace(speed_mps=float(n))}
+            whole = {**signals, message.counter: float(n)} if message.counter else signals
+            assert writer.write(message, records, signals, 0.0).data == codec.encode(message, records, whole)
+
+
 def test_protection_changes_no_value(tmp_path: Path) -> None:
     codec = codec_of("little_fd", tmp_path)
     writer, message = FrameWriter(codec), codec.by_name["DRIVE"]

@@ -84,18 +84,28 @@ class Codec:
         signals: raw values by signal name (enable, counter, states ...); they win over fields and constants.
         length: bytes to keep of the payload (a clear frame), None: all.
         """
+        payload = self.encode_bits(message, records, raw_bits(message, signals))
+        return payload if length is None else payload[:length]
+
+    def encode_bits(self, message: MessageMap, records: Mapping[str, Any], raw: RawBits) -> bytes:
+        """As `encode`, with the raw values made ready by `raw_bits`."""
         plan = message.plan
         little, big = plan.little, plan.big
-        for group, steps in plan.simple:
+        for group, steps, scaled in plan.simple:
             record = records.get(group)
             if record is None:
                 continue
-            for index, offset, scale, term_scale, signal_offset, factor, low, high, mask, shift, is_big in steps:
+            for index, factor, low, high, mask, shift in steps:
+                value = record[index]
+                if value - value == 0.0:  # NaN, infinite: raw 0
+                    value /= factor
+                    little |= (round(low if value < low else high if value > high else value) & mask) << shift
+            for index, offset, scale, term_scale, signal_offset, factor, low, high, mask, shift, is_big in scaled:
                 value = record[index]
                 if value - value != 0.0:
-                    continue  # NaN, infinite: raw 0
-                raw = ((value - offset) / scale / term_scale - signal_offset) / factor
-                whole = round(low if raw < low else high if raw > high else raw)
+                    continue
+                value = ((value - offset) / scale / term_scale - signal_offset) / factor
+                whole = round(low if value < low else high if value > high else value)
                 if is_big:
                     big |= (whole & mask) << shift
                 else:
@@ -104,12 +114,12 @@ class Codec:
             if field.group in records:
                 more_little, more_big = _special_bits(field, records[field.group][field.index])
                 little, big = little | more_little, big | more_big
-        little, big = _put_raw(plan, signals, little, big)
         size = message.length
-        payload = little.to_bytes(size, "little")
+        payload = (little & raw.keep_little | raw.little).to_bytes(size, "little")
+        big = big & raw.keep_big | raw.big
         if big:
             payload = (int.from_bytes(payload, "big") | big).to_bytes(size, "big")
-        return payload if length is None else payload[:length]
+        return payload
 
     def decode(self, message: MessageMap, data: bytes) -> dict[str, float]:
         """Physical values by signal name; raw values of signals with a role or a state. Excess bytes are ignored.
@@ -146,15 +156,27 @@ class Codec:
         return values
 
 
-def _put_raw(plan: Plan, signals: Mapping[str, float], little: int, big: int) -> tuple[int, int]:
-    """The payload's two integers with raw values put in by signal name."""
+class RawBits(NamedTuple):
+    """Raw values as bits to put into the payload's two integers, and the bits of those that stay."""
+
+    keep_little: int
+    little: int
+    keep_big: int
+    big: int
+
+
+def raw_bits(message: MessageMap, signals: Mapping[str, float]) -> RawBits:
+    """Raw values by signal name, made ready; of two on the same bits the later one counts."""
+    raws = message.plan.raws
+    keep_little = keep_big = -1
+    little = big = 0
     for name, value in signals.items():
-        mask, shift, others, is_big = plan.raws[name]
+        mask, shift, others, is_big = raws[name]
         if is_big:
-            big = big & others | (int(value) & mask) << shift
+            keep_big, big = keep_big & others, big & others | (int(value) & mask) << shift
         else:
-            little = little & others | (int(value) & mask) << shift
-    return little, big
+            keep_little, little = keep_little & others, little & others | (int(value) & mask) << shift
+    return RawBits(keep_little, little, keep_big, big)
 
 
 def _special_bits(field: FieldMap, value: float) -> tuple[int, int]:
@@ -209,20 +231,20 @@ class Snapshot:
         if steps is None or len(data) < message.length:
             self.receive(message, data)
             return
-        little = int.from_bytes(data[: message.length], "little")
+        little = int.from_bytes(data if len(data) == message.length else data[: message.length], "little")
         for values, index, shift, mask, sign, factor, offset, term_scale, scale, field_offset in steps:
             physical = (((little >> shift & mask) ^ sign) - sign) * factor + offset
             values[index] = (0.0 + physical * term_scale) * scale + field_offset
 
     def _steps(self, message: MessageMap) -> tuple[tuple[Any, ...], ...] | None:
         """One flat step a field where each is one little-endian integer signal, else None."""
+        reads = {read.name: read for read in message.plan.reads_little}
         steps = []
         for field in message.fields:
             signal, term_scale = field.terms[0]
-            if len(field.terms) > 1 or signal.big_endian or signal.is_float:
+            if len(field.terms) > 1 or signal.name not in reads:
                 return None
-            sign = 1 << (signal.bits - 1) if signal.signed else 0
-            read = (signal.shift, signal.mask, sign, signal.factor, signal.offset)
+            _, *read = reads[signal.name]
             steps.append((self._groups[field.group], field.index, *read, term_scale, field.scale, field.offset))
         return tuple(steps)
 

@@ -6,7 +6,17 @@ import math
 import struct
 from collections.abc import Iterable, Mapping
 
-from tunefree_hil.bus.dbc.message_map import TWO_PI, FieldMap, Plan, ReadStep, SignalMap, Term, Turn, WriteStep
+from tunefree_hil.bus.dbc.message_map import (
+    TWO_PI,
+    FieldMap,
+    PlainStep,
+    Plan,
+    ReadStep,
+    SignalMap,
+    Term,
+    Turn,
+    WriteStep,
+)
 
 
 def make_plan(
@@ -21,7 +31,7 @@ def make_plan(
         little=little,
         big=big,
         simple=tuple(
-            (group, tuple(_write_step(f) for f in fields if f.group == group and _is_simple(f)))
+            _simple_steps(group, [_write_step(f) for f in fields if f.group == group and _is_simple(f)])
             for group in dict.fromkeys(field.group for field in fields)
         ),
         special=tuple(field for field in fields if not _is_simple(field)),
@@ -58,6 +68,24 @@ def _write_step(field: FieldMap) -> WriteStep:
         shift=signal.shift,
         big=signal.big_endian,
     )
+
+
+def _simple_steps(group: str, steps: Iterable[WriteStep]) -> tuple[str, tuple[PlainStep, ...], tuple[WriteStep, ...]]:
+    """The steps of a group, those apart whose scales and offsets change no bit of a value."""
+    plain, scaled = [], []
+    for step in steps:
+        is_plain = (step.offset, step.scale, step.term_scale, step.signal_offset, step.big) == (
+            0.0,
+            1.0,
+            1.0,
+            0.0,
+            False,
+        )
+        if is_plain:
+            plain.append(PlainStep(step.index, step.factor, step.raw_low, step.raw_high, step.mask, step.shift))
+        else:
+            scaled.append(step)
+    return group, tuple(plain), tuple(scaled)
 
 
 def _is_simple(field: FieldMap) -> bool:

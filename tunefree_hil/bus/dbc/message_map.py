@@ -114,12 +114,23 @@ class WriteStep(NamedTuple):
     big: bool
 
 
+class PlainStep(NamedTuple):
+    """A field of one little-endian signal whose scale and offset are its own: value / factor, clipped, rounded."""
+
+    index: int
+    factor: float
+    raw_low: float
+    raw_high: float
+    mask: int
+    shift: int
+
+
 class Plan(NamedTuple):
     """A message made ready for encode and decode (bus/dbc/encode_plan.py)."""
 
     little: int  # constants, as an integer of the little-endian payload
     big: int
-    simple: tuple[tuple[str, tuple[WriteStep, ...]], ...]  # by group
+    simple: tuple[tuple[str, tuple[PlainStep, ...], tuple[WriteStep, ...]], ...]  # by group
     special: tuple[FieldMap, ...]  # sums and headings
     raws: Mapping[str, tuple[int, int, int, bool]]  # signal -> mask, shift, mask of the other bits, big-endian
     reads_little: tuple[ReadStep, ...]
@@ -169,5 +180,5 @@ class MessageMap:
     def read_raw(self, signal: str, data: bytes) -> int:
         """The bits of a signal as an unsigned integer; those beyond the end of a short payload are 0."""
         mask, shift, _, big_endian = self.plan.raws[signal]
-        whole = data[: self.length].ljust(self.length, b"\0")
+        whole = data if len(data) == self.length else data[: self.length].ljust(self.length, b"\0")
         return int.from_bytes(whole, "big" if big_endian else "little") >> shift & mask

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 from tunefree_hil.base.records import CanFrame
 from tunefree_hil.bus.error_frames import require_bus_on
@@ -14,8 +15,6 @@ from tunefree_hil.bus.tfhub.records import (
     FRAME,
     RTR_FLAG,
     SECOND_FRAME,
-    ChannelFrames,
-    mark_second_channel,
     pack_frames,
     plain_frames,
     unpack_raw,
@@ -25,31 +24,38 @@ from tunefree_hil.bus.tfhub.server.connection import ConnectionGone
 SEND_S = 10.0
 
 
+def _nothing() -> None:
+    """There is nothing to send."""
+
+
 class HubPair:
     """A member on both channels. `receive(0)` reads the vehicle channel, `receive(1)` the bench channel."""
 
     def __init__(self, vehicle_address: str, *, name: str = "", stamps: bool = False) -> None:
         self._bus = HubBus(vehicle_address, role="member", name=name, stamps=stamps, both=True)
         self._connection = self._bus._connection
-        self._frames = ChannelFrames([], [])
+        self._frames: list[list[CanFrame]] = [[], []]  # by channel
         self.name = self._bus.name
         self.welcome = self._bus.welcome
 
     def send(self, vehicle: Sequence[CanFrame], bench: Sequence[CanFrame]) -> None:
         """Vehicle frames, then bench frames, in one write."""
+        self.prepare(vehicle, bench)()
+
+    def prepare(self, vehicle: Sequence[CanFrame], bench: Sequence[CanFrame]) -> Callable[[], None]:
+        """The same in two steps: the records now, the write when the function that is returned is called."""
         data = pack_frames(vehicle) if vehicle else b""
         if bench:
-            data += mark_second_channel(pack_frames(bench), len(bench))
-        if data:
-            self._bus._transmit(data, SEND_S)
+            data += pack_frames(bench, SECOND_FRAME)
+        return partial(self._bus._transmit, data, SEND_S) if data else _nothing
 
     def receive(self, channel: int, timeout_s: float) -> list[CanFrame]:
         """All that has arrived on a channel; waits up to timeout_s for the first. See link.BusLink.receive."""
+        if self._frames[channel]:
+            return self._take(channel)
         deadline_s = time.monotonic() + timeout_s
         rest_s = timeout_s
         while True:
-            if self._frames[channel]:
-                return self._take(channel)
             data = self._connection.fresh(rest_s)
             if data and not self._sort(data):
                 self._connection.put_back(data)
@@ -66,8 +72,7 @@ class HubPair:
         self._bus.shutdown()
 
     def _take(self, channel: int) -> list[CanFrame]:
-        frames = list(self._frames[channel])
-        self._frames[channel].clear()
+        frames, self._frames[channel] = self._frames[channel], []
         return frames
 
     def _sort(self, data: bytes) -> bool:
@@ -75,8 +80,8 @@ class HubPair:
         frames = plain_frames(data)
         if frames is None:
             return False
-        self._frames.own.extend(frames.own)
-        self._frames.second.extend(frames.second)
+        self._frames[0] += frames.own
+        self._frames[1] += frames.second
         return True
 
     def _one_by_one(self, timeout_s: float) -> None:

@@ -32,6 +32,7 @@ HEAD = struct.Struct("<HBBQQ")
 FRAME_HEAD = struct.Struct("<HBBQQIBB")
 CLASSIC = struct.Struct("<HBBQQIB3x8s")
 FD = struct.Struct("<HBBQQIBB2x64s")
+SIZES, KINDS = (CLASSIC.size, FD.size), (FRAME, SECOND_FRAME)  # of the records of frames
 STAMP = struct.Struct("<BQQ")  # sender, sequence, time; at STAMP_AT of a record
 NUMBER = struct.Struct("<BQ")  # the same without time
 KIND_AT = 2
@@ -116,21 +117,24 @@ def pack_raw(raw: Raw) -> bytes:
     return CLASSIC.pack(CLASSIC.size, FRAME, 0, 0, raw.time_ns, can_id, count, raw.data)
 
 
-def pack_frames(frames: Iterable[CanFrame]) -> bytes:
-    """FRAME records of data frames, time_s as ns. FD frames are sent with bit-rate switch."""
+def pack_frames(frames: Iterable[CanFrame], kind: int = FRAME) -> bytes:
+    """FRAME (or SECOND_FRAME) records of data frames, time_s as ns. FD frames are sent with bit-rate switch."""
     parts = []
+    pack, size, last_s, time_ns = CLASSIC.pack, CLASSIC.size, -1.0, 0
     for identifier, data, extended, fd, time_s in frames:
+        if time_s != last_s:
+            if not time_s >= 0.0:
+                raise InputError(f"a frame's stamp is {time_s} s", hint="stamps begin at 0")
+            last_s, time_ns = time_s, round(time_s * 1e9)
         if not 0 <= identifier <= EFF_MASK:
             raise InputError(f"{identifier:#x} is no CAN id", hint="ids have 11 bits, or 29 when extended")
-        if not time_s >= 0.0:
-            raise InputError(f"a frame's stamp is {time_s} s", hint="stamps begin at 0")
-        can_id = identifier | EFF_FLAG if extended else identifier
-        time_ns = round(time_s * 1e9)
         length = len(data)
-        if not fd and length <= 8 and (extended or identifier <= SFF_MASK):
-            parts.append(CLASSIC.pack(36, FRAME, 0, 0, time_ns, can_id, length, data))
-        else:
-            parts.append(pack_raw(Raw(can_id, data, time_ns, fd, BRS if fd else 0)))
+        can_id = identifier | EFF_FLAG if extended else identifier
+        if length <= 8 and not fd and (extended or identifier <= SFF_MASK):
+            parts.append(pack(size, kind, 0, 0, time_ns, can_id, length, data))
+            continue
+        record = pack_raw(Raw(can_id, data, time_ns, fd, BRS if fd else 0))
+        parts.append(record if kind == FRAME else mark_second_channel(record, 1))
     return b"".join(parts)
 
 
@@ -166,18 +170,38 @@ class ChannelFrames(NamedTuple):
 
 
 def plain_frames(data: bytes) -> ChannelFrames | None:
-    """The frames of `data` where it holds only whole records of classic data frames, else None."""
+    """The frames of `data` where it holds only whole records of data frames, else None."""
     if not data or len(data) % CLASSIC.size:
-        return None
-    frames = ChannelFrames([], [])
+        return _frames_of_any_size(data)
+    own: list[CanFrame] = []
+    second: list[CanFrame] = []
     make = tuple.__new__  # half the time of CanFrame(...)
+    whole, last_ns, time_s = CLASSIC.size, 0, 0.0
     for size, kind, _, _, time_ns, can_id, length, payload in CLASSIC.iter_unpack(data):
-        if size != CLASSIC.size or (kind != FRAME and kind != SECOND_FRAME) or can_id & NO_DATA:
-            return None
+        if size != whole or (kind != FRAME and kind != SECOND_FRAME) or can_id & NO_DATA:
+            return _frames_of_any_size(data)
+        if time_ns != last_ns:
+            last_ns, time_s = time_ns, time_ns / 1e9
         part = payload if length == 8 else payload[:length]
-        frame = make(CanFrame, (can_id & EFF_MASK, part, can_id > EFF_MASK, False, time_ns / 1e9))
-        frames[kind == SECOND_FRAME].append(frame)
-    return frames
+        frame = make(CanFrame, (can_id & EFF_MASK, part, can_id > EFF_MASK, False, time_s))
+        (own if kind == FRAME else second).append(frame)
+    return ChannelFrames(own, second)
+
+
+def _frames_of_any_size(data: bytes) -> ChannelFrames | None:
+    """`plain_frames` of classic and FD frames in any order."""
+    frames = ChannelFrames([], [])
+    offset, end = 0, len(data)
+    while end - offset >= CLASSIC.size:
+        size, kind, _, _, time_ns, can_id, length, _ = FRAME_HEAD.unpack_from(data, offset)
+        is_data = size in SIZES and kind in KINDS and not can_id & NO_DATA
+        if not is_data or size > end - offset:
+            return None
+        payload = data[offset + DATA_AT : offset + DATA_AT + length]
+        frame = CanFrame(can_id & EFF_MASK, payload, can_id > EFF_MASK, size == FD.size, time_ns / 1e9)
+        (frames.own if kind == FRAME else frames.second).append(frame)
+        offset += size
+    return frames if 0 < offset == end else None
 
 
 def unpack_raw(buffer: bytes | bytearray | memoryview, offset: int = 0) -> Raw:

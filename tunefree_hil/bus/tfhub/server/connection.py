@@ -114,12 +114,7 @@ class Connection:
         if self.buffer or self.careful or self.gone or not select.select([self.sock], [], [], timeout_s)[0]:
             return b""
         with self.reading:
-            if self.buffer:
-                return b""
-            self._read(READ_BYTES)
-            data = bytes(self.buffer)
-            self.buffer.clear()
-        return data
+            return b"" if self.buffer else self._receive(READ_BYTES)
 
     def put_back(self, data: bytes) -> None:
         """Return bytes to the beginning of the buffer."""
@@ -164,19 +159,22 @@ class Connection:
         return (self.buffer[self.position] | self.buffer[self.position + 1] << 8) - have
 
     def _read(self, most: int) -> None:
+        """One read into the buffer."""
+        if not self.gone:
+            self.buffer += self._receive(most)
+
+    def _receive(self, most: int) -> bytes:
         """One read; sets `gone` when the peer has closed."""
-        if self.gone:
-            return
         try:
             data = self.sock.recv(most)
         except BlockingIOError:
-            return
+            return b""
         except OSError as error:
             self.gone = error.strerror or "connection lost"
-            return
+            return b""
         if not data:
             self.gone = self.gone or "its connection closed"
-        self.buffer += data
+        return data
 
     # --- beginning and end ---------------------------------------------------------------------------------------
 
