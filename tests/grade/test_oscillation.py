@@ -138,6 +138,69 @@ def test_what_dies_out_is_none(damping: float) -> None:
     assert ratio(drive(out_steer_rad=steady)) > 10.0
 
 
+@given(st.floats(0.3, 3.0), st.floats(0.05, 0.5), st.booleans())
+@settings(deadline=None, max_examples=25)
+def test_one_pulse_or_one_cycle_is_none(width_s: float, edge_s: float, goes_back: bool) -> None:
+    """The high-pass makes six half cycles of a pulse of 2 s: the signal itself does not turn there."""
+    turns_s = [0.0, 12.0, 12.0 + edge_s, 12.0 + edge_s + width_s, 12.0 + 2.0 * edge_s + width_s]
+    heights = [0.0, 0.0, 1.0, 1.0, 0.0]
+    if goes_back:
+        turns_s += [turns_s[-1] + edge_s, turns_s[-1] + edge_s + width_s, turns_s[-1] + 2.0 * edge_s + width_s]
+        heights += [-1.0, -1.0, 0.0]
+    assert ratio(drive(out_steer_rad=0.35 * np.interp(times(), turns_s, heights))) < 0.5
+
+
+@given(st.floats(0.6, 3.0), st.floats(0.06, 1.0), st.floats(0.2, 5.0), st.floats(-0.2, 0.2))
+@settings(deadline=None, max_examples=25)
+def test_scale_and_shift(frequency_hz: float, range_: float, factor: float, offset: float) -> None:
+    wheel = sine(times(), frequency_hz, range_)
+    plain, scaled = ratio(drive(out_steer_rad=wheel)), ratio(drive(out_steer_rad=factor * wheel))
+    assert scaled == pytest.approx(factor * plain, rel=1e-3)
+    assert ratio(drive(out_steer_rad=wheel + offset)) == pytest.approx(plain, rel=1e-3)
+    later = np.concatenate([np.zeros(137), wheel[:-137]])
+    assert ratio(drive(out_steer_rad=later)) == pytest.approx(plain, rel=0.02)
+
+
+@given(st.floats(0.7, 3.0), st.floats(0.05, 0.18), st.floats(6.0, 20.0))
+@settings(deadline=None, max_examples=25)
+def test_a_sine_beyond_the_limit_is_caught_on_a_smooth_drive(
+    frequency_hz: float, slow_hz: float, speed_mps: float
+) -> None:
+    t = times()
+    curvature = slalom(t, speed_mps, slow_hz, 1.0)
+    wheel = steered(curvature, speed_mps, 1.2, 0.2, 0.2)
+    smooth = drive(at_mps=speed_mps, ref_curvature_1pm=curvature, out_steer_rad=wheel)
+    limit = CRITERIA.steer_rad * max(1.0, (CRITERIA.steer_speed_mps / speed_mps) ** 2)
+    assert ratio(smooth) < 0.5
+    assert ratio({**smooth, "out_steer_rad": wheel + sine(t, frequency_hz, 2.0 * limit)}) > 1.0
+
+
+def test_an_uneven_swing_is_found() -> None:
+    """0.5 Hz, 0.9 s to one side and 1.1 s to the other, as a wheel swings that runs to its stops."""
+    t = times()
+    wheel = np.interp(t % 2.0, [0.0, 0.9, 2.0], [-0.3, 0.3, -0.3])
+    assert ratio(drive(out_steer_rad=wheel)) > 5.0
+
+
+def test_two_cycles_are_enough_in_a_drive_that_ends_early() -> None:
+    t = times()
+    wheel = np.where(t > 1.0, sine(t, 0.7, 1.0), 0.0)
+    early = {name: column[:430] for name, column in drive(out_steer_rad=wheel).items()}
+    assert ratio(early) > 5.0
+    dying = np.where(t > 1.0, wheel * np.exp(-2.0 * (t - 1.0)), 0.0)
+    assert ratio({**early, "out_steer_rad": 0.3 * dying[:430]}) < 1.0
+    two_cycles = np.where((t > 10.0) & (t < 12.5), sine(t - 10.0, 0.8, 1.0), 0.0)
+    assert ratio(drive(out_steer_rad=two_cycles)) < 0.5
+
+
+def test_a_short_drive_is_not_explained_by_a_manoeuvre_at_its_end() -> None:
+    """The wheel swings by 200 deg from the beginning, the road begins to turn after 2 s, and the drive ends."""
+    t = times()[:350]
+    curvature = np.where(t > 2.0, -0.01 * np.sin(2.0 * math.pi * 0.15 * (t - 2.0)), 0.0)
+    columns = {name: column[:350] for name, column in drive(at_mps=10.0).items()}
+    assert ratio({**columns, "ref_curvature_1pm": curvature, "out_steer_rad": sine(t, 0.8, 3.5)}) > 5.0
+
+
 def test_growth_is_found() -> None:
     t = times()
     wheel = np.where(t > 10.0, 0.02 * np.exp(0.15 * (t - 10.0)) * np.sin(2.0 * math.pi * 1.3 * t), 0.0)
@@ -205,6 +268,8 @@ def test_alternating_pedals_are_found() -> None:
     signal = OscillationSignal.PEDAL_ALTERNATION
     one = found(drive(**pedals(t, 1.0)), signal, rest_pedal_frac=0.15)
     assert one is not None and one.amplitude == pytest.approx(2.0, rel=0.05)
+    throttle = found(drive(**pedals(t, 1.0)), OscillationSignal.THROTTLE)
+    assert throttle is not None and throttle.ratio > 2.0, "30 % of duty once a second"
     slow = found(drive(**pedals(t, 6.0)), signal, rest_pedal_frac=0.15)
     assert slow is not None and slow.ratio == pytest.approx(0.67, rel=0.05), "below its limit it has a value too"
     asked = np.where(np.floor(2.0 * t / 6.0) % 2.0 == 0.0, 1.0, -1.0)

@@ -93,6 +93,10 @@ SHORTENED = {
         "tunefree-hil tune bench_configs/mkz_complete.toml --backend batch --trials 40 --confirm 1 --no-verify",
         "400 trials, three of them over the bus; `make tune` of the same page verifies",
     ),
+    "tunefree-hil tune bench_configs/van_envelope.toml": Shortened(
+        "tunefree-hil tune bench_configs/van_envelope.toml --trials 8 --confirm 1 --no-verify",
+        "400 trials; `make tune` is the same job with the other vehicle",
+    ),
     "tunefree-hil commission dbc/mkz_bywire --bench bench_configs/mkz_complete.toml --out runs/commission": Shortened(
         "tunefree-hil commission dbc/mkz_bywire --bench bench_configs/mkz_complete.toml --out runs/commission"
         " --only collect --quota-s 3 --top-mps 5 --area-m 120",

@@ -1,8 +1,9 @@
 """Oscillation of steering, pedals, acceleration and speed: the largest swing that a drive sustains, and where.
 
 A signal oscillates with the amplitude that all of several half cycles in a row reach (peak to peak, 0.5 to 5 Hz), in
-what the reference does not explain (residual.py). So one correction of the wheel is none, nor is
-what dies out; and the value is continuous, also below its limit, as a search under constraints needs it. Pedals also
+what the reference does not explain (residual.py). So one correction of the wheel is none, nor is what dies out within
+three cycles, after the start or a re-plan as anywhere; re-plans that follow one another so fast that the wheel never
+rests shake it. The value is continuous, also below its limit, as a search under constraints needs it. Pedals also
 alternate: throttle and brake in turn more often than the reference accelerates and slows down.
 """
 
@@ -29,6 +30,7 @@ from tunefree_hil.grade.oscillation.swings import (
     SustainedSwing,
     SwingBuffers,
     SwingRules,
+    SwingSamples,
     find_sustained_swing_fast,
 )
 
@@ -175,14 +177,17 @@ def _find_swings(known: Mapping[str, Array], dt_s: float, criteria: OscillationC
     if residuals is None:
         return []
     limits = _limits(known, residuals.stride, criteria)
-    rules = SwingRules(criteria.half_cycles, criteria.max_half_cycle_s, criteria.run_share)
+    duration_s = len(residuals.values[0]) * residuals.dt_s
+    half_cycles = criteria.half_cycles if duration_s >= criteria.early_end_s else criteria.early_half_cycles
+    rules = SwingRules(half_cycles, criteria.max_half_cycle_s, criteria.run_share, criteria.motion_share)
     findings = []
     for signal, source in SOURCES.items():
         if source.column not in residuals.signals:
             continue
         i = residuals.signals.index(source.column)
         limit = limits[signal] + criteria.explained_share * residuals.explained_range[i]
-        swing = _sustained(residuals.values[i] / limit, residuals.dt_s, rules)
+        motion = known[source.column][:: residuals.stride] - residuals.explained[i]
+        swing = _sustained(residuals.values[i] / limit, motion / limit, residuals.dt_s, rules)
         run = swing.largest
         if run.range <= NO_SWING_RATIO:
             continue
@@ -233,13 +238,13 @@ def _limits(known: Mapping[str, Array], stride: int, criteria: OscillationCriter
     }
 
 
-def _sustained(samples: Array, dt_s: float, rules: SwingRules) -> SustainedSwing:
-    count = len(samples)
+def _sustained(values: Array, motions: Array, dt_s: float, rules: SwingRules) -> SustainedSwing:
+    count = len(values)
     if BATCH:
-        times_s, values, turns = np.empty((3, count + 1))
-        return find_sustained_swing_fast(samples, count, dt_s, rules, SwingBuffers(times_s, values, turns))
-    buffers = SwingBuffers(*([0.0] * (count + 1) for _ in range(3)))  # lists are faster to index in plain Python
-    return find_sustained_swing_fast(samples.tolist(), count, dt_s, rules, buffers)
+        samples = SwingSamples(values, motions, count, dt_s)
+        return find_sustained_swing_fast(samples, rules, SwingBuffers(*np.empty((4, count + 1))))
+    buffers = SwingBuffers(*([0.0] * (count + 1) for _ in range(4)))  # lists are faster to index in plain Python
+    return find_sustained_swing_fast(SwingSamples(values.tolist(), motions.tolist(), count, dt_s), rules, buffers)
 
 
 def _find_alternation(

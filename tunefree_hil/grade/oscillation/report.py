@@ -43,7 +43,10 @@ class OscillationCriteria(NamedTuple):
     explained_share: float = 0.05  # of what the reference explains there, added to a limit: it is not explained better
     switches_per_s: float = 0.5  # throttle to brake or back, beyond the reference's own: one every 2 s
     half_cycles: int = 6  # in a row that reach the amplitude: three cycles, over which damping 0.1 leaves 1/5
-    max_half_cycle_s: float = 1.05  # 0.5 Hz and 5 % for the scatter of a turning point
+    max_half_cycle_s: float = 1.15  # 0.5 Hz and 15 %: a wheel that runs to its stops swings unevenly
+    early_end_s: float = 8.0  # a shorter drive left its lane: early_half_cycles are enough, all that some of them show
+    early_half_cycles: int = 4
+    motion_share: float = 0.3  # of the amplitude by which the signal itself turns there, before the high-pass
     run_share: float = 0.5  # of the amplitude: half cycles of that size before and after belong to it
     switches: int = 6  # in a row whose rate counts
     active_frac: float = 0.02  # duty above rest from which a pedal acts; quantisation and dead bands are below

@@ -27,7 +27,9 @@ BLOCK_ROWS = 256  # the padded length is a multiple, which the transform does fa
 # Of the reference. Below 0: preview; above: dead time, lag, overshoot. Up to 0.4 s only, a calm manual set in a double
 # lane change kept 9 deg of wheel as an oscillation.
 SHIFTS_S = (-0.32, 0.0, 0.32, 0.64, 0.96, 1.28, 1.6)
-RIDGE_SHARE = 1e-3  # of the energy of a term
+RIDGE_SHARE = 1e-3  # of the energy that a term has in the whole drive
+SHORT_S = 12.0  # a drive of this length has twice that ridge, a shorter one by the fourth power of its length more: in
+# 3 s any swing looks like a response to some manoeuvre, and the wheel was explained with thousands of degrees
 TINY = 1e-300  # energy; a term that is 0 where it is fitted has no weight
 ROUNDING = 1e-12  # of a reference column's largest value: smaller motion in the band is rounding and asks for nothing
 UNFITTED_END_S = 1.0  # a manoeuvre may break off there, and what is mirrored follows before it is asked
@@ -48,6 +50,7 @@ class BandResiduals(NamedTuple):
 
     signals: tuple[str, ...]
     values: Array
+    explained: Array
     explained_range: Array
     dt_s: float
     stride: int
@@ -68,6 +71,7 @@ class _Grid(NamedTuple):
     first: int
     count: int
     fitted: int
+    ridge_share: float
 
 
 def band_gain(frequency_hz: Array) -> Array:
@@ -103,7 +107,7 @@ def band_residuals(columns: Mapping[str, Array], groups: Sequence[ExplainedSigna
         row = rows.stop
     step_s = grid.stride * dt_s
     explained_range = _range_within(explained, round(1.0 / step_s))
-    return BandResiduals(signals, values - explained, explained_range, step_s, grid.stride)
+    return BandResiduals(signals, values - explained, explained, explained_range, step_s, grid.stride)
 
 
 @lru_cache(maxsize=32)
@@ -120,7 +124,9 @@ def _make_grid(ticks: int, dt_s: float) -> _Grid:
     shifts = tuple(round(shift_s / (stride * dt_s)) for shift_s in SHIFTS_S)
     count = -(-ticks // stride)
     fitted = count - round(UNFITTED_END_S / (stride * dt_s))
-    return _Grid(pad, rows, stride, slice(bottom, top), gain, shifts, pad // stride, count, fitted)
+    short = SHORT_S / (fitted * stride * dt_s)
+    ridge_share = RIDGE_SHARE * (1.0 + short * short * short * short)
+    return _Grid(pad, rows, stride, slice(bottom, top), gain, shifts, pad // stride, count, fitted, ridge_share)
 
 
 def _band_passed(records: Array, grid: _Grid) -> Array:
@@ -143,7 +149,7 @@ def _explained(signals: Array, terms: Array, grid: _Grid) -> Array:
     x, y = terms[:, : grid.fitted], signals[:, : grid.fitted]
     # einsum, as the bits of a matrix product depend on the number of threads
     squares = np.einsum("it,jt->ij", x, x)
-    squares += np.diag(RIDGE_SHARE * np.diagonal(squares) + TINY)
+    squares += np.diag(grid.ridge_share * np.einsum("it,it->i", terms, terms) + TINY)
     weights = np.linalg.solve(squares, np.einsum("it,jt->ij", x, y))
     return np.einsum("ij,it->jt", weights, terms)
 
