@@ -60,7 +60,7 @@ def draw_before_after(pairs: Sequence[RoadPair]) -> Figure:
     for row, panel in enumerate(IN_TIME):
         axes = figure.add_subplot(grid[row, len(ERRORS)])
         _draw_in_time(axes, panel, shown, series)
-        title = f"{shown.road}, where the difference is largest" if row == 0 else ""
+        title = f"largest difference:\n{shown.road}" if row == 0 else ""
         style.dress(axes, "time (s)" if row == len(IN_TIME) - 1 else "", panel.label, title)
         axes.tick_params(labelbottom=row == len(IN_TIME) - 1)
     style.headline(figure, _sentence(pairs))
