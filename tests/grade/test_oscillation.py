@@ -90,8 +90,15 @@ def test_a_sine_is_found(frequency_hz: float, range_: float, phase: float, signa
     assert one is not None
     assert one.amplitude == pytest.approx(range_, rel=0.05)
     assert one.frequency_hz == pytest.approx(frequency_hz, rel=0.05)
-    assert one.from_s < 2.5 and one.to_s > 27.5
+    assert CRITERIA.start_s <= one.from_s < CRITERIA.start_s + 1.0 and one.to_s > 27.5
     assert one.place is DrivePlace.STRAIGHT and one.speed_mps == pytest.approx(18.0)
+
+
+@pytest.mark.parametrize(("until_s", "is_found"), [(3.0, False), (9.0, True)])
+def test_what_the_start_leaves_is_no_oscillation_and_what_goes_on_is(until_s: float, is_found: bool) -> None:
+    t = times()
+    one = found(drive(out_steer_rad=np.where(t < until_s, sine(t, 1.4, 0.5), 0.0)))
+    assert (one is not None and one.amplitude > 0.4) == is_found
 
 
 def test_a_part_of_the_drive_is_named() -> None:
@@ -141,13 +148,13 @@ def test_what_dies_out_is_none(damping: float) -> None:
 @given(st.floats(0.3, 3.0), st.floats(0.05, 0.5), st.booleans())
 @settings(deadline=None, max_examples=25)
 def test_one_pulse_or_one_cycle_is_none(width_s: float, edge_s: float, goes_back: bool) -> None:
-    """The high-pass makes six half cycles of a pulse of 2 s: the signal itself does not turn there."""
+    """The high-pass makes six half cycles of a pulse of 2 s: the signal itself does not turn there. Five limits high."""
     turns_s = [0.0, 12.0, 12.0 + edge_s, 12.0 + edge_s + width_s, 12.0 + 2.0 * edge_s + width_s]
     heights = [0.0, 0.0, 1.0, 1.0, 0.0]
     if goes_back:
         turns_s += [turns_s[-1] + edge_s, turns_s[-1] + edge_s + width_s, turns_s[-1] + 2.0 * edge_s + width_s]
         heights += [-1.0, -1.0, 0.0]
-    assert ratio(drive(out_steer_rad=0.35 * np.interp(times(), turns_s, heights))) < 0.5
+    assert ratio(drive(out_steer_rad=5.0 * CRITERIA.steer_rad * np.interp(times(), turns_s, heights))) < 1.0
 
 
 @given(st.floats(0.6, 3.0), st.floats(0.06, 1.0), st.floats(0.2, 5.0), st.floats(-0.2, 0.2))
@@ -333,3 +340,12 @@ def test_report() -> None:
 def test_text(changes: Any, text: str) -> None:
     one = OscillationFinding(STEER, math.radians(58.0), 0.05, "rad", 1.7, 3.2, 14.0, DrivePlace.STRAIGHT, 18.0)
     assert oscillation_text(one._replace(**changes)) == text
+
+
+def test_a_swing_of_the_explanation_alone_is_no_oscillation() -> None:
+    """A plan that brakes in short steps, and a throttle that is closed meanwhile and opened once afterwards."""
+    t = times()
+    accel = np.where((t > 5.0) & (t < 8.0), -0.8 - 0.7 * np.sign(np.sin(2.0 * math.pi * t)), 0.0)
+    throttle = np.where(t < 5.0, 0.9, np.where(t < 8.0, 0.0, 0.35 + 0.3 * np.exp(-((t - 8.7) ** 2) / 0.2)))
+    one = found(drive(cmd_throttle_frac=throttle, ref_accel_mps2=accel), OscillationSignal.THROTTLE)
+    assert one is None or one.ratio < 0.5

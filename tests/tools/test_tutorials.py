@@ -27,6 +27,11 @@ from tunefree_hil.config.load import load_bench
 
 STEER, TUNED = "bench_configs/mkz_steer.toml", "runs/*-tune-mkz_steer"
 
+# The vehicle that `docs/how-to/vehicle.md` stands for: the shipped one which was added last, and a bench of its own.
+LATER_BENCH = max((ROOT / "bench_configs").glob("*_steer.toml")).stem
+LATER_VEHICLE = load_bench(ROOT / "bench_configs" / f"{LATER_BENCH}.toml").vehicle
+LATER_ENVELOPE = f"bench_configs/{LATER_BENCH.removesuffix('_steer')}_envelope.toml"
+
 
 class NotRun(NamedTuple):
     """Why a command is not run here, and the test which runs it elsewhere ("" where there is none)."""
@@ -93,8 +98,8 @@ SHORTENED = {
         "tunefree-hil tune bench_configs/mkz_complete.toml --backend batch --trials 40 --confirm 1 --no-verify",
         "400 trials, three of them over the bus; `make tune` of the same page verifies",
     ),
-    "tunefree-hil tune bench_configs/van_envelope.toml": Shortened(
-        "tunefree-hil tune bench_configs/van_envelope.toml --trials 8 --confirm 1 --no-verify",
+    f"tunefree-hil tune {LATER_ENVELOPE}": Shortened(
+        f"tunefree-hil tune {LATER_ENVELOPE} --trials 8 --confirm 1 --no-verify",
         "400 trials; `make tune` is the same job with the other vehicle",
     ),
     "tunefree-hil commission dbc/mkz_bywire --bench bench_configs/mkz_complete.toml --out runs/commission": Shortened(
@@ -129,10 +134,6 @@ STAYS = ("tunefree-hil hub", "tunefree-hil ecu", "tunefree-hil controller")
 # Commands which want a terminal: what is typed there to end them, as soon as SEEN is there.
 TERMINAL = {"cantools monitor": b"q"}
 TERMINAL_S = 60.0  # typed by then in any case
-
-# The vehicle that `docs/how-to/vehicle.md` stands for: the shipped one which was added last, and a bench of its own.
-LATER_BENCH = max((ROOT / "bench_configs").glob("*_steer.toml")).stem
-LATER_VEHICLE = load_bench(ROOT / "bench_configs" / f"{LATER_BENCH}.toml").vehicle
 
 # What a page leaves to its reader to fill in, as this test fills it in.
 FILLED_IN = {

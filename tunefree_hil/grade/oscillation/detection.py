@@ -178,16 +178,22 @@ def _find_swings(known: Mapping[str, Array], dt_s: float, criteria: OscillationC
         return []
     limits = _limits(known, residuals.stride, criteria)
     duration_s = len(residuals.values[0]) * residuals.dt_s
-    half_cycles = criteria.half_cycles if duration_s >= criteria.early_end_s else criteria.early_half_cycles
-    rules = SwingRules(half_cycles, criteria.max_half_cycle_s, criteria.run_share, criteria.motion_share)
+    half_cycles, begin_s = criteria.half_cycles, criteria.start_s
+    if duration_s < criteria.early_end_s:
+        half_cycles, begin_s = criteria.early_half_cycles, 0.0
+    rules = SwingRules(half_cycles, criteria.max_half_cycle_s, begin_s, criteria.run_share, criteria.motion_share)
     findings = []
     for signal, source in SOURCES.items():
         if source.column not in residuals.signals:
             continue
         i = residuals.signals.index(source.column)
         limit = limits[signal] + criteria.explained_share * residuals.explained_range[i]
-        motion = known[source.column][:: residuals.stride] - residuals.explained[i]
-        swing = _sustained(residuals.values[i] / limit, motion / limit, residuals.dt_s, rules)
+        measured, explained = known[source.column][:: residuals.stride], residuals.explained[i]
+        swing = _sustained(residuals.values[i] / limit, (measured - explained) / limit, residuals.dt_s, rules)
+        if swing.largest.range > NO_SWING_RATIO:
+            # a reference explains swings away; those of the explanation itself are none of the signal
+            band = (residuals.values[i] + explained) / limit
+            swing = min(swing, _sustained(band, measured / limit, residuals.dt_s, rules), key=_range_of)
         run = swing.largest
         if run.range <= NO_SWING_RATIO:
             continue
@@ -202,6 +208,10 @@ def _find_swings(known: Mapping[str, Array], dt_s: float, criteria: OscillationC
             OscillationFinding(signal, amplitude, limit_there, source.unit, frequency_hz, *spread, *setting)
         )
     return findings
+
+
+def _range_of(swing: SustainedSwing) -> float:
+    return swing.largest.range
 
 
 class _DriveSetting(NamedTuple):

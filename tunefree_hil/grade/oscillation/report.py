@@ -44,6 +44,7 @@ class OscillationCriteria(NamedTuple):
     switches_per_s: float = 0.5  # throttle to brake or back, beyond the reference's own: one every 2 s
     half_cycles: int = 6  # in a row that reach the amplitude: three cycles, over which damping 0.1 leaves 1/5
     max_half_cycle_s: float = 1.15  # 0.5 Hz and 15 %: a wheel that runs to its stops swings unevenly
+    start_s: float = 3.0  # a start beside the plan decays in it; what shakes goes on
     early_end_s: float = 8.0  # a shorter drive left its lane: early_half_cycles are enough, all that some of them show
     early_half_cycles: int = 4
     motion_share: float = 0.3  # of the amplitude by which the signal itself turns there, before the high-pass

@@ -17,6 +17,7 @@ BISECTIONS = 18  # the sustained range is number to 4e-6 of the largest one
 class SwingRules(NamedTuple):
     """What sustains. half_cycles: needed one after the other, none longer than max_half_cycle_s.
 
+    begin_s: half cycles that begin earlier do not count.
     motion_share: least height of a turn of the signal itself / the range, so that what a high-pass makes of a step or a
     pulse does not count.
     run_share: of the sustained range; half cycles of that size before and after belong to the same oscillation.
@@ -24,6 +25,7 @@ class SwingRules(NamedTuple):
 
     half_cycles: int
     max_half_cycle_s: float
+    begin_s: float
     run_share: float
     motion_share: float
 
@@ -132,7 +134,7 @@ def find_run(buffers: SwingBuffers, count: int, threshold: float, rules: SwingRu
     start_s, last_s, halves = 0.0, 0.0, 0
     for i in range(turns):
         time_s = buffers.times_s[int(buffers.turns[i])]
-        is_joined = i > 0 and time_s - last_s <= rules.max_half_cycle_s
+        is_joined = i > 0 and last_s >= rules.begin_s and time_s - last_s <= rules.max_half_cycle_s
         goes_on = is_joined
         if goes_on and halves > 0:
             goes_on = is_turn_of_motion(buffers, i - 1, rules.motion_share * threshold)
