@@ -148,7 +148,7 @@ def test_what_dies_out_is_none(damping: float) -> None:
 @given(st.floats(0.3, 3.0), st.floats(0.05, 0.5), st.booleans())
 @settings(deadline=None, max_examples=25)
 def test_one_pulse_or_one_cycle_is_none(width_s: float, edge_s: float, goes_back: bool) -> None:
-    """The high-pass makes six half cycles of a pulse of 2 s: the signal itself does not turn there. Five limits high."""
+    """The high-pass makes six half cycles of a pulse of 2 s: the signal itself does not turn there."""
     turns_s = [0.0, 12.0, 12.0 + edge_s, 12.0 + edge_s + width_s, 12.0 + 2.0 * edge_s + width_s]
     heights = [0.0, 0.0, 1.0, 1.0, 0.0]
     if goes_back:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 from tunefree_hil.bus.dbc.message_map import (
     TWO_PI,
@@ -70,8 +71,15 @@ def _write_step(field: FieldMap) -> WriteStep:
     )
 
 
-def _simple_steps(group: str, steps: Iterable[WriteStep]) -> tuple[str, tuple[PlainStep, ...], tuple[WriteStep, ...]]:
-    """The steps of a group, those apart whose scales and offsets change no bit of a value."""
+class GroupSteps(NamedTuple):
+    """The steps of a group; plain are those whose scales and offsets change no bit of a value."""
+
+    group: str
+    plain: tuple[PlainStep, ...]
+    scaled: tuple[WriteStep, ...]
+
+
+def _simple_steps(group: str, steps: Iterable[WriteStep]) -> GroupSteps:
     plain, scaled = [], []
     for step in steps:
         is_plain = (step.offset, step.scale, step.term_scale, step.signal_offset, step.big) == (
@@ -85,7 +93,7 @@ def _simple_steps(group: str, steps: Iterable[WriteStep]) -> tuple[str, tuple[Pl
             plain.append(PlainStep(step.index, step.factor, step.raw_low, step.raw_high, step.mask, step.shift))
         else:
             scaled.append(step)
-    return group, tuple(plain), tuple(scaled)
+    return GroupSteps(group, tuple(plain), tuple(scaled))
 
 
 def _is_simple(field: FieldMap) -> bool:

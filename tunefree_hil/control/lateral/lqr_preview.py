@@ -340,6 +340,6 @@ def advance(
 OWN = (
     Tunable("steer.preview", "1", 0.0, 2.0, "linear"),
     Tunable("steer.predict", "1", 0.0, 2.0, "linear"),
-    Tunable("steer.integral_1ps", "1/s", 0.0, 0.1, "linear"),
+    Tunable("steer.integral_1ps", "1/s", 0.0, 0.04, "linear"),
 )
 CONTROLLER = Recipe(make, tunables_of("lqr.") + OWN)

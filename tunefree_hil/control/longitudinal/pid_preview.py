@@ -163,16 +163,12 @@ def step(
     """a_cmd = a_ref later + K_P (e_v + K_Px e_x) predicted + integral - disturbance; u = f_map(a_cmd, v)."""
     tracking, measurement = x
     v = speed_of(measurement, params.chassis_speed)
-    arrived_mps2 = float(state.command_mps2[state.command_place])
     share = dt_s / (params.lag_s + dt_s)  # not 0: dt_s is above 0
-    acting_mps2 = state.acting_mps2 + share * (arrived_mps2 - state.acting_mps2)
+    acting_mps2 = state.acting_mps2 + share * (float(state.command_mps2[state.command_place]) - state.acting_mps2)
     speed_mps, bias_mps2, seen_mps2 = estimate(params, state, measurement, acting_mps2, dt_s)
     disturbance_mps2 = observe(params, state, measurement.ins.speed_mps, seen_mps2 - acting_mps2, dt_s)
     now_mps, now_m = feedback_errors(params, state, tracking, measurement.ins.speed_mps - speed_mps, dt_s)
-    later_mps = now_mps - under_way_mps(params, state, dt_s)
-    later_m = now_m + params.reach_s * 0.5 * (now_mps + later_mps)
-    station_m = clamp(later_m, -STATION_LIMIT_M, STATION_LIMIT_M)
-    error_mps = clamp(later_mps + params.station_kp * station_m, -SPEED_LIMIT_MPS, SPEED_LIMIT_MPS)
+    error_mps = demanded_mps(params, state, now_mps, now_m, dt_s)
     kp, ki = params.kp_high, params.ki_high
     if v <= SWITCH_MPS:
         kp, ki = params.kp_low, params.ki_low
@@ -182,8 +178,7 @@ def step(
     stopping = is_full_stop(tracking)
     if stopping:
         integral_mps2, feedback_mps2 = 0.0, 0.0
-        if accel_mps2 > STANDSTILL_MPS2:
-            accel_mps2 = STANDSTILL_MPS2
+        accel_mps2 = min(accel_mps2, STANDSTILL_MPS2)
     accel_mps2 = clamp(accel_mps2, params.accel_low_mps2, params.accel_high_mps2)
     pedal, pedals = choose_pedal(params, state.pedal, v, accel_mps2, stopping)
     feedback_place = put(state.feedback_mps2, state.feedback_place, feedback_mps2)
@@ -203,6 +198,15 @@ def step(
         pedal,
     )
     return new_state, pedals
+
+
+@kernel
+def demanded_mps(params: PidPreviewParams, state: PidPreviewState, now_mps: float, now_m: float, dt_s: float) -> float:
+    """The speed that is demanded for speed and station error, as they will be when what is under way has acted."""
+    later_mps = now_mps - under_way_mps(params, state, dt_s)
+    later_m = now_m + params.reach_s * 0.5 * (now_mps + later_mps)
+    station_m = clamp(later_m, -STATION_LIMIT_M, STATION_LIMIT_M)
+    return clamp(later_mps + params.station_kp * station_m, -SPEED_LIMIT_MPS, SPEED_LIMIT_MPS)
 
 
 @kernel

@@ -111,7 +111,8 @@ def _draw_roads(axes: Axes, panel: Panel, pairs: Sequence[RoadPair], series: Map
         label: [rms_after_start(drive, panel.column) for drive in drives]
         for label, drives in zip(series, ([pair.manual for pair in pairs], [pair.tuned for pair in pairs]), strict=True)
     }
-    axes.hlines(rows, *values.values(), color=style.FAINT, linewidth=1.5)
+    manual, tuned = values.values()
+    axes.hlines(rows, manual, tuned, color=style.FAINT, linewidth=1.5)
     for label, numbers in values.items():
         look = series[label]
         axes.plot(numbers, rows, look.marker, color=look.colour, markersize=7.0, linestyle="none", label=label)

@@ -46,7 +46,7 @@ class OscillationCriteria(NamedTuple):
     max_half_cycle_s: float = 1.15  # 0.5 Hz and 15 %: a wheel that runs to its stops swings unevenly
     start_s: float = 3.0  # a start beside the plan decays in it; what shakes goes on
     early_end_s: float = 8.0  # a shorter drive left its lane: early_half_cycles are enough, all that some of them show
-    early_half_cycles: int = 4
+    early_half_cycles: int = 4  # two cycles
     motion_share: float = 0.3  # of the amplitude by which the signal itself turns there, before the high-pass
     run_share: float = 0.5  # of the amplitude: half cycles of that size before and after belong to it
     switches: int = 6  # in a row whose rate counts

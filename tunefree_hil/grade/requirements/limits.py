@@ -32,9 +32,9 @@ class RequirementCriteria(NamedTuple):
     steer_rate_share: float = 0.98  # of the vehicle's limit of the steering rate: beyond it the command is saturated
     steer_rate_window_s: float = 0.1  # s; rate of the command, not the resolution of a CAN signal over a tick
     replans: float = 0.0  # a re-plan is a jump of the path: the vehicle left it
-    # of the oscillations' limits, in a search: what a gain set is on the model it exceeds on the vehicle. With 0.9 and
-    # 0.85 the winners of 9 development searches stayed below their limits on the vehicle, 0.65 cost half of the gain
-    search_share: float = 0.85
+    # of the oscillations' limits, in a search: what a gain set is on the model it exceeds on the vehicle. With 0.85 the
+    # winners of two of four development searches for the van reached 1.02 and 1.09 of a limit on one of 20 roads
+    search_share: float = 0.75
     failed_violation: float = 100.0  # of a drive that was not finished; beyond that of any finished one
 
 
