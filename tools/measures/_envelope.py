@@ -163,9 +163,11 @@ def with_controller(bench: Bench, **keys: Any) -> Bench:
 
 
 def with_plain_controller(bench: Bench) -> Bench:
-    """The bench with the paper's controller: the parts of a bench file that names none. Its map stays the same."""
+    """The bench with the paper's controller: the parts of a bench file that names none, and nothing of other parts to
+    search. Its map stays the same."""
     plain = ControllerSpec()
-    return with_controller(bench, lateral=plain.lateral, longitudinal=plain.longitudinal, inner=plain.inner)
+    changed = with_controller(bench, lateral=plain.lateral, longitudinal=plain.longitudinal, inner=plain.inner)
+    return replace(changed, spec=with_values(changed.spec, tune=with_values(changed.spec.tune, parameters=[])))
 
 
 def limits_on_vehicle(bench: Bench) -> RequirementLimits:

@@ -61,6 +61,7 @@ CORRECTIONS = (
     Correction("prediction over the dead time", LATERAL | LONGITUDINAL, ("steer.predict", "speed.predict")),
     Correction("slow integral, observer", LATERAL | LONGITUDINAL, ("steer.integral_1ps", "speed.observer_radps")),
     Correction("longitudinal preview", LONGITUDINAL, (PEDAL_PREVIEW,)),
+    Correction("estimated speed and station", LONGITUDINAL, ("speed.filter_s",)),
     Correction("pedal hysteresis", LONGITUDINAL, ("pedals.hysteresis_mps2",)),
     Correction("robust MRAC", INNER, ("mrac.leak_1ps", "mrac.reach")),
 )

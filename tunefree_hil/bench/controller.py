@@ -86,8 +86,8 @@ def require_in_box(name: str, value: float, *, file: str = "", key: str = "") ->
             key=key,
             hint=f"parameters are binary32: give a number between -{LARGEST32:.2g} and {LARGEST32:.2g}",
         )
-    widest = tunable_in_box(name, BoxChoice.DEFAULT)
-    low, high, choices = widest.low, widest.high, widest.choices
+    either, choices = tunable_in_box(name, BoxChoice.DEFAULT), row.tunable.choices
+    low, high = min(either.low, row.tunable.low), max(either.high, row.tunable.high)
     if sendable:
         sent = round32(value)
         inside = sent in choices if choices else round32(low) <= sent <= round32(high)

@@ -92,7 +92,7 @@ def test_verify_prints_margins_and_keeps_them(run: Path, few: None) -> None:
         event.message for event in events if event.kind == "note" and event.message.startswith(("tuned", "mrac_on"))
     ]
     assert len(table) == 4 and ">= 10 ms" in table[2] + table[3]
-    assert [Path(one).name for one in found["figures"]] == ["margins.png", "verify_tiny.png"]
+    assert [Path(one).name for one in found["figures"]] == ["before_after.png", "margins.png", "verify_tiny.png"]
     assert any(event.kind == "progress" and event.data["label"] == "margins" for event in events)
     assert found["verdict"] in ("ACCEPTED", "NO GAIN") and found["sentence"].startswith(f"{found['verdict']}: ")
     assert result.data["exit"] == (0 if found["verdict"] == "ACCEPTED" else 1)
