@@ -25,7 +25,7 @@ class CmaCriteria(NamedTuple):
     start_spread: float = 0.15  # standard deviation: two of it reach a third of the range to each side
     population_step: int = 8  # populations are multiples of the trials that a batch drives at once
     # a violation of 20 % doubles a score; ranked behind all others, as TPE ranks them, points beyond a limit by 1 %
-    # would hide from the strategy the best ones, which lie along the limits (0.234 against 0.158 after 300 trials)
+    # would hide from the strategy the best ones, which lie along the limits
     violation_weight: float = 5.0
     most_violation: float = 20.0  # a failed drive is 100; all failures are equally bad
 
