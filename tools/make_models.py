@@ -3,7 +3,7 @@
 
 For every vehicle folder that has a model of kind `reference`, which stands for the vehicle: `collect` over the bus on
 that model, `calibrate`, `learn`, `map`, each the job that the command of this name runs. What came of it is copied, the
-learned map in the place of the calibrated one, with a card that says what it was made of and the hash of each file.
+learned maps in the place of the calibrated ones, with a card that says what it was made of and the hash of each file.
 Cut off, the same call goes on. Wants torch: pip install '.[learn]'.
 """
 
@@ -26,6 +26,7 @@ from tunefree_hil.base.errors import InputError  # noqa: E402
 from tunefree_hil.base.events import Event  # noqa: E402
 from tunefree_hil.cli.output import present  # noqa: E402
 from tunefree_hil.config.find import available  # noqa: E402
+from tunefree_hil.config.learned.steering_map_schema import STEERING_MAP_FILE  # noqa: E402
 from tunefree_hil.config.load import load_model, load_vehicle  # noqa: E402
 from tunefree_hil.config.schema import ModelSpec, VehicleSpec  # noqa: E402
 from tunefree_hil.jobs.learn.report_text import position_error  # noqa: E402
@@ -186,7 +187,9 @@ def made_of(plan: Plan, kind: str, collected: Mapping[str, Any]) -> dict[str, An
 
 
 def ship(learned: Path, charted: Path, target: Path, made: Mapping[str, Any]) -> dict[str, str]:
-    """Copy a learned folder with the map to `target`, whole or not at all; its name and a sentence.
+    """Copy a learned folder with the maps of pedals and steering to `target`, whole or not at all.
+
+    Returns: its name and a sentence.
 
     Raises InputError where it is too large, or too far off in free run to tune anything on.
     """
@@ -195,7 +198,8 @@ def ship(learned: Path, charted: Path, target: Path, made: Mapping[str, Any]) ->
         shutil.rmtree(folder, ignore_errors=True)
     part.mkdir(parents=True)
     try:
-        for path in (learned / "model.toml", *learned.glob("*.npz"), charted):
+        beside = [path for path in [charted.with_name(STEERING_MAP_FILE)] if path.is_file()]
+        for path in (learned / "model.toml", *learned.glob("*.npz"), charted, *beside):
             shutil.copy(path, part / path.name)
         files = hashes_of(part)
         card = read_json(learned / CARD) | {**made, "map": map_card(charted), "files": files}

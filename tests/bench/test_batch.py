@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 from tests.bench.test_every_vehicle import first_benches, shortest
 from tests.bench.tiny import write_bench
@@ -72,6 +74,26 @@ def test_the_process_ends_with_the_batch(tiny: Bench, interpreted: None) -> None
     with Batch(tiny) as batch:
         process = batch._helper.process
     assert process.poll() is not None
+
+
+@pytest.mark.compiled
+def test_the_compiled_batch_is_the_bus_on_a_banked_road_in_gusts(tmp_path: Path) -> None:
+    path = write_bench(tmp_path)
+    with (tmp_path / "scenarios" / "tiny.toml").open("a") as file:
+        file.write("bank = { t_s = [0.0, 0.5, 1.5], value = [0.0, 0.06, -0.04] }\n")
+        file.write("side_wind = { t_s = [0.0, 0.6, 1.2], value = [0.0, 0.8, 0.0] }\n")
+    bench = load(path)
+    [gusty], values = bench.scenarios.values(), parameters_of(bench)
+    level = structs.replace(gusty, name="level", hash="00" * 32, bank=None, side_wind=None)
+    with Batch(replace(bench, scenarios={"tiny": gusty, "level": level}, courses={})) as batch:
+        driven, undisturbed = batch.drive([Job(values, gusty), Job(values, level)], columns=True)
+    with BenchSession(path, tmp_path / "nodes", BenchLaunch(session=f"gusts-{os.getpid()}", bus="tfhub")) as session:
+        outcome = session.drive(gusty, gusty.noise_seed, values, tmp_path)
+    episode = read_episode(bench, DrivenEpisode(gusty, values, outcome, tmp_path))
+    found = compared(episode.recording, episode.grade, driven)
+    assert found["differing"] == 0, found
+    assert found["values"] > 5_000
+    assert "y_m" in differing(driven.recording, undisturbed.recording)  # type: ignore[arg-type]
 
 
 @pytest.mark.compiled

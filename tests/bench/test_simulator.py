@@ -83,6 +83,33 @@ def test_the_verify_models_physics_too(path: Path) -> None:
     assert ours.ticks == bench.course(scenario).ticks and recording.columns["out_steer_rad"][-1] != 0.0
 
 
+@pytest.mark.parametrize("path", first_benches(), ids=lambda path: path.stem)
+def test_a_bank_and_a_side_wind_are_the_same_without_frames(path: Path) -> None:
+    """On the verification's model; each of the two moves the vehicle."""
+    bench = bench_of(path, STARTS["on_the_path"], 0.8)
+    values, model = parameters_of(bench), bench.spec.verify_model
+    bank = ProfileSpec(t_s=[0.0, 0.2, 0.4], value=[0.0, 0.05, 0.02])
+    wind = ProfileSpec(t_s=[0.0, 0.1, 0.3], value=[0.0, 0.6, 0.1])
+    level = bench.scenarios["short"]
+    roads = {"level": level}
+    for name, more in (
+        ("bank", {"bank": bank}),
+        ("wind", {"side_wind": wind}),
+        ("both", {"bank": bank, "side_wind": wind}),
+    ):
+        digest = hashlib.sha256(name.encode()).hexdigest()
+        roads[name] = msgspec.structs.replace(level, name=name, hash=digest, **more)
+    bench = replace(bench, scenarios=roads, courses={})
+    simulator = Simulator(bench, model)
+    driven = {name: simulator.drive(Job(values, one)).recording for name, one in roads.items()}
+    drive = InProcess(bench, model).drive(roads["both"], values)
+    follower = follower_of(bench, roads["both"], values)
+    recording = columns_from_frames(drive.frames, bench.codec, follower, bench.dt_s, ticks=drive.ticks)
+    assert differing(recording, driven["both"]) == {}
+    sides = {name: one.columns["y_m"][-1] for name, one in driven.items()}
+    assert sides["bank"] < sides["level"] < sides["wind"] and sides["bank"] < sides["both"] < sides["wind"]
+
+
 def test_a_driver_who_takes_over_does_so_without_frames_too() -> None:
     script = [FaultSpec(kind="driver_override", channel="steer", value=20.0, from_tick=40, to_tick=90)]
     bench = bench_of(first_benches()[0], STARTS["on_the_path"], faults=script)

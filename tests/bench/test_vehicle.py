@@ -12,11 +12,9 @@ from tests.bench.tiny import hash_of, write_bench
 from tests.house import ROOT
 from tunefree_hil.base.contracts import Port
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.base.records import Disturbance
 from tunefree_hil.bench import Bench, VehicleFor, is_heavy, load
 from tunefree_hil.bench.vehicle import driver_script, effects_of
 from tunefree_hil.config.schema import EffectSpec, FaultSpec
-from tunefree_hil.nodes.ecu import Vehicle
 from tunefree_hil.plant.actuation.bywire import ReceivedCommand
 from tunefree_hil.plant.ecu import UnitInput
 from tunefree_hil.plant.types import NO_DRIVER
@@ -52,16 +50,12 @@ def test_only_the_seed_draws_the_noise(bench: Bench, tmp_path: Path) -> None:
         params, state, said = car.unit.start(car.body, car.dt_s)
         seen = [said.measurement]
         for k in range(20):
-            x = UnitInput(ReceivedCommand(), car.driver(k), road_of(car, k))
+            x = UnitInput(ReceivedCommand(), car.driver(k), car.course.road_at(k))
             state, said = car.unit.step(params, state, x, car.dt_s)
             seen.append(said.measurement)
         return [repr(one) for one in seen]
 
     assert seen_with(3) == seen_with(3) != seen_with(4)
-
-
-def road_of(car: Vehicle, k: int) -> Disturbance:
-    return Disturbance(float(car.course.grade_rad[k]), float(car.course.friction_frac[k]))
 
 
 def test_an_unknown_plant_kind_lists_those_there_are(bench: Bench, tmp_path: Path) -> None:

@@ -55,6 +55,8 @@ def make_course(
         table(accels),
         table([0.0] * (ticks + 1)),
         table([1.0] * (ticks + 1)),
+        table([0.0] * (ticks + 1)),
+        table([0.0] * (ticks + 1)),
         -PROLONGED_M,
         SPACING_M,
         *(table(row[i] for row in rows) for i in range(4)),

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from tunefree_hil.control import limits
 from tunefree_hil.control.contract import Settings, Setup, VehicleConstants
+from tunefree_hil.control.steering_map import data_sheet_map, steady_road_wheel_rad, wheel_rad
 
 DT_S = 0.01
 
@@ -27,12 +28,32 @@ def run(block, inputs):
     return out
 
 
+def setup_of(vehicle, **others):
+    return Setup({}, vehicle, None, Settings(), DT_S, **others)
+
+
 def test_bound_by_lateral_acceleration():
-    bound = limits.steer_bound_of(VehicleConstants())
+    bound = limits.steer_bound_of(setup_of(VehicleConstants()))
     assert limits.steer_bound(bound, 0.0) == 8.20305
     assert limits.steer_bound(bound, 3.0) == 8.20305
     assert limits.steer_bound(bound, 10.0) == pytest.approx(math.atan(5.0 * 2.8448 / 100.0) * 16.0)
     assert limits.steer_bound(bound, -10.0) == limits.steer_bound(bound, 10.0)
+
+
+def test_bound_of_a_part_that_knows_the_steering_gives_the_lateral_acceleration():
+    steering = data_sheet_map(VehicleConstants())._replace(understeer_s2pm=0.004)
+    bound = limits.steer_bound_of(setup_of(VehicleConstants(), steering=steering, is_bound_by_map=True))
+    for speed_mps in (15.0, 27.0):
+        steady_rad = wheel_rad(steering, steady_road_wheel_rad(steering, speed_mps, 5.0 / speed_mps**2))
+        assert limits.steer_bound(bound, speed_mps) == pytest.approx(steady_rad, rel=2e-3)  # atan(x) for x
+    published = limits.steer_bound_of(setup_of(VehicleConstants(), steering=steering))
+    assert limits.steer_bound(published, 27.0) == pytest.approx(math.atan(5.0 * 2.8448 / 27.0**2) * 16.0)
+
+
+def test_oversteer_narrows_no_bound():
+    steering = data_sheet_map(VehicleConstants())._replace(understeer_s2pm=-0.002)
+    bound = limits.steer_bound_of(setup_of(VehicleConstants(), steering=steering, is_bound_by_map=True))
+    assert bound == limits.steer_bound_of(setup_of(VehicleConstants()))
 
 
 def test_settles_at_the_bound_with_the_filter_behind_it():

@@ -9,7 +9,7 @@ from tests.effects.shared import KINDS, constants, driven
 from tests.plant.drives import REST, command
 from tests.plant.test_single_track import holding_throttle
 from tunefree_hil.base.course import Start
-from tunefree_hil.base.records import GEAR_NEUTRAL
+from tunefree_hil.base.records import GEAR_NEUTRAL, Disturbance, Motion
 
 
 @pytest.mark.parametrize("speed", [8.0, 20.0])
@@ -46,7 +46,26 @@ def test_it_pushes_to_the_left_by_force_over_mass(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("relaxation_m", [0.0, 0.8])
+def test_a_wind_of_the_road_is_the_same_and_adds_up(kind: str, relaxation_m: float) -> None:
+    force_n = 900.0
+
+    def motion(of_effect: float, of_road: float) -> Motion:
+        effects = {"side_wind": {"force_n": of_effect * force_n}, "tyre_relaxation": {"length_m": relaxation_m}}
+        road = Disturbance(side_wind_mps2=of_road * force_n / constants(kind).mass_kg)
+        outputs = driven(kind, effects, lambda t: command(0.2, REST), 0.5, start=Start(speed_mps=20.0), road=road)
+        return outputs[-1].motion
+
+    by_effect = motion(1.0, 0.0)
+    assert by_effect.y_m > 0.005, "to the left"
+    assert motion(0.0, 1.0) == pytest.approx(by_effect, rel=1e-9, abs=1e-12)
+    assert motion(0.3, 0.7) == pytest.approx(by_effect, rel=1e-9, abs=1e-12)
+    assert motion(1.0, -1.0).y_m == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_standing_car_stays_and_feels_nothing(kind: str) -> None:
-    outputs = driven(kind, {"side_wind": {"force_n": 900.0}}, lambda t: command(gear=GEAR_NEUTRAL), 0.3, start=Start())
-    last = outputs[-1].motion
-    assert (last.x_m, last.y_m, last.lateral_accel_mps2) == (0.0, 0.0, 0.0)
+    for effect, road in (({"side_wind": {"force_n": 900.0}}, Disturbance()), ({}, Disturbance(side_wind_mps2=0.5))):
+        outputs = driven(kind, effect, lambda t: command(gear=GEAR_NEUTRAL), 0.3, start=Start(), road=road)
+        last = outputs[-1].motion
+        assert (last.x_m, last.y_m, last.lateral_accel_mps2) == (0.0, 0.0, 0.0)

@@ -56,6 +56,7 @@ def test_straight_at_constant_speed() -> None:
     assert set(course.path_y_m) == set(course.path_heading_rad) == set(course.path_curvature_1pm) == {0.0}
     assert set(course.grade_rad) == {0.0}
     assert set(course.friction_frac) == {1.0}
+    assert set(course.bank_rad) == set(course.side_wind_mps2) == {0.0}
     assert type(course.path_x_m[0]) is float
     assert type(course.speed_mps[0]) is float
 
@@ -163,6 +164,19 @@ def test_road_is_sampled() -> None:
     assert course.grade_rad[250] == pytest.approx(0.05)
     assert course.grade_rad[1000] == pytest.approx(0.1)
     assert set(course.friction_frac) == {0.4}
+
+
+def test_bank_and_side_wind_are_sampled_and_checked_like_the_rest() -> None:
+    road = {"bank": profile((0.0, 0.0), (5.0, 0.1)), "side_wind": profile((0.0, -0.4), (10.0, 0.6))}
+    course = build_course(scenario(profile((0.0, 3.0), (10.0, 3.0)), **road), DT_S)
+    assert course.road_at(250) == pytest.approx((0.0, 1.0, 0.05, -0.15))
+    assert course.road_at(1000) == pytest.approx((0.0, 1.0, 0.1, 0.6))
+    for key in road:
+        with pytest.raises(InputError) as caught:
+            build_course(
+                scenario(profile((0.0, 3.0), (10.0, 3.0)), **{key: profile((0.0, math.nan), (1.0, 0.0))}), DT_S
+            )
+        assert (caught.value.code, caught.value.key) == ("bad_profile", key)
 
 
 def test_two_builds_are_the_same_bits() -> None:

@@ -40,7 +40,7 @@ def body_lines(kind: str, chosen: str) -> list[str]:
         lambda t: command(0.3 if t < 1.2 else REST, REST if t < 1.6 else 0.3, 3.0 * math.sin(2.0 * t)),
         0.01 * TICKS,
         start=Start(2.0, -1.0, 3.0, 4.0),
-        road=Disturbance(0.02, 0.8),
+        road=Disturbance(0.02, 0.8, 0.03, -0.4),
         noise=noise_table({"ins.x_m": 0.01, "report.speed_mps": 0.02}, {"report.accel_mps2": 0.01}, TICKS, 3),
     )
     return [bits(out) for out in outputs]
@@ -80,7 +80,7 @@ def learned_lines() -> list[str]:
         for k in range(TICKS):
             pedals = (0.35, 0.15) if k < 100 else (0.15, 0.15 + 0.001 * min(k - 100, 150))
             act = Actuation(*pedals, 3.0 * math.sin(0.03 * k), GEAR_DRIVE)
-            state, motion = block.step(params, state, ChassisInput(act, Disturbance(0.02, 0.8)), 0.01)
+            state, motion = block.step(params, state, ChassisInput(act, Disturbance(0.02, 0.8, 0.03, -0.4)), 0.01)
             lines.append(bits(motion))
     return lines
 

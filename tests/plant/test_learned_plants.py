@@ -99,7 +99,7 @@ def test_a_hybrid_that_corrects_nothing_is_the_single_track_car() -> None:
         return command(0.35 if t < 1.0 else REST, 0.3 if 2.0 < t < 6.0 else REST, 4.0 * math.sin(t))
 
     for start in (Start(speed_mps=9.0), Start(), Start(1.0, 2.0, 0.5, 0.4)):
-        for road in (Disturbance(), Disturbance(0.05, 0.4)):
+        for road in (Disturbance(), Disturbance(0.05, 0.4, -0.04, 0.6)):
             assert drive(still, stops, 8.0, start=start, road=road) == drive(plain, stops, 8.0, start=start, road=road)
 
 
@@ -177,6 +177,21 @@ def test_what_acceleration_can_show_is_shown(tmp_path: Path) -> None:
     assert plain.speed_mps - drag.speed_mps == pytest.approx(1.0, rel=0.05)
     rolling = last(plant, "rolling_resistance", extra_frac=2.0).motion
     assert plain.speed_mps - rolling.speed_mps == pytest.approx(2.0 * DEFAULTS["rolling_frac"] * G_MPS2, rel=0.05)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_banked_road_in_the_wind_moves_the_car_where_there_is_physics(kind: str, tmp_path: Path) -> None:
+    """Without physics the axle holds: the path is the same, and the accelerometer feels the bank, not the wind."""
+    plant = plant_of(tmp_path, kind)
+    level, banked, windy = (
+        last(plant, road=road).motion for road in (LEVEL, Disturbance(bank_rad=0.04), Disturbance(side_wind_mps2=0.6))
+    )
+    if kind == "hybrid":
+        assert banked.y_m < level.y_m - 0.01 and windy.y_m > level.y_m + 0.01
+        return
+    assert windy == level and banked[:7] == level[:7]
+    felt = banked.lateral_accel_mps2 - level.lateral_accel_mps2
+    assert felt == pytest.approx(G_MPS2 * math.sin(0.04))
 
 
 @pytest.mark.parametrize(("gear", "moves"), [(GEAR_PARK, False), (GEAR_NEUTRAL, False), (GEAR_DRIVE, True)])

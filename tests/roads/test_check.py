@@ -37,6 +37,9 @@ BROKEN = [
     (RoadQuantity.CURVATURE, CALM._replace(speed_mps=np.full(201, 3.0), curvature_1pm=smooth(0.2, 8.0))),
     (RoadQuantity.CURVATURE_RATE, CALM._replace(speed_mps=np.full(201, 3.0), curvature_1pm=smooth(0.1, 1.0))),
     (RoadQuantity.LATERAL_ACCEL, CALM._replace(curvature_1pm=smooth(0.031, 4.0))),
+    (RoadQuantity.LATERAL_ACCEL, CALM._replace(bank_rad=smooth(0.33))),
+    (RoadQuantity.LATERAL_ACCEL, CALM._replace(curvature_1pm=smooth(0.02, 4.0), side_wind_mps2=smooth(-1.2))),
+    (RoadQuantity.GRIP, CALM._replace(bank_rad=smooth(-0.2), friction_frac=np.full(201, 0.3))),
     (RoadQuantity.LATERAL_JERK, CALM._replace(speed_mps=np.full(201, 20.0), curvature_1pm=smooth(0.007, 0.6))),
     (RoadQuantity.GRIP, CALM._replace(curvature_1pm=smooth(0.02, 4.0), friction_frac=np.full(201, 0.3))),
 ]
@@ -44,6 +47,14 @@ BROKEN = [
 
 def test_a_calm_road_is_within_all_limits() -> None:
     assert find_excesses(CALM, MKZ) == []
+
+
+def test_a_bank_into_the_bend_takes_load_off_the_tyres() -> None:
+    """Left side down in a bend to the left: gravity helps, as a wind from the right would."""
+    bend = CALM._replace(curvature_1pm=smooth(0.034, 6.0))
+    assert [excess.quantity for excess in find_excesses(bend, MKZ)] == [RoadQuantity.LATERAL_ACCEL]
+    assert find_excesses(bend._replace(bank_rad=smooth(-0.06)), MKZ) == []
+    assert find_excesses(bend._replace(side_wind_mps2=smooth(0.6)), MKZ) == []
 
 
 @pytest.mark.parametrize(("quantity", "draft"), BROKEN, ids=lambda value: getattr(value, "name", ""))

@@ -175,6 +175,38 @@ def test_a_straight_road_has_wet_patches_and_a_stop_ends_at_standstill() -> None
     assert stops[-1] == 0.0 and sum(low == 0.0 < high for low, high in pairwise(stops)) >= 2
 
 
+@pytest.mark.parametrize("vehicle", sorted(VEHICLES))
+def test_a_straight_road_has_a_bank_and_one_or_two_gusts(vehicle: str) -> None:
+    limits, counts, sides = LIMITS[vehicle], set[int](), set[float]()
+    for seed in range(30):
+        spec = road(BY_NAME["straight"], RoadRequest(min(20.0, limits.speed_mps), 2.0, 0.7), limits, seed)
+        course = build_course(spec, DT_S)
+        bank, wind = np.asarray(course.bank_rad), np.asarray(course.side_wind_mps2)
+        assert 0.02 <= np.max(np.abs(bank)) <= 0.06 and bank[0] == bank[-1] == 0.0
+        assert 0.2 <= np.max(np.abs(wind)) <= 0.8 and wind[0] == wind[-1] == 0.0
+        blowing = np.flatnonzero(np.diff(np.abs(wind) > 0.01))
+        lasting_s = DT_S * (blowing[1::2] - blowing[::2])
+        assert np.all((lasting_s > 0.7) & (lasting_s <= 2.0)), "1 to 2 s, less the ends of the cosine"
+        counts.add(len(lasting_s))
+        sides.add(float(np.sign(wind.sum())))
+        assert check_feasible(course, limits_of(VEHICLES[vehicle])) == []
+    assert counts == {1, 2} and sides == {-1.0, 1.0}
+
+
+def test_bank_and_gusts_are_smaller_where_there_is_little_grip() -> None:
+    for lateral_mps2 in (1.0, 0.3):
+        spec = road(BY_NAME["straight"], RoadRequest(20.0, 1.0, 0.7), MKZ._replace(lateral_accel_mps2=lateral_mps2))
+        assert spec.bank is not None and spec.side_wind is not None
+        pull = 9.81 * max(np.abs(spec.bank.value)) + max(np.abs(spec.side_wind.value))
+        assert 0.2 * lateral_mps2 < pull <= lateral_mps2
+
+
+def test_no_other_family_has_bank_or_wind() -> None:
+    for family in FAMILIES:
+        spec = road(family, RoadRequest(min(0.5 * (family.low_mps + family.high_mps), 20.0), 1.5, 0.8), MKZ)
+        assert (spec.bank is None and spec.side_wind is None) == (family.name != "straight"), family.name
+
+
 def test_a_lane_change_takes_longer_where_the_jerk_is_bounded() -> None:
     """At 3 m/s2 the shift of 3.5 m would take 2.7 s; a jerk of 4.5 m/s3 needs 3.1 s."""
     draft = build_double_lane_change(RoadRequest(20.0, 3.0, 0.5), MKZ, Random(1))

@@ -43,7 +43,9 @@ def test_a_shipped_model_is_what_its_card_says(folder: Path) -> None:
     vehicle = load_vehicle(model.vehicle)
     driven = tool.driven_model(vehicle)
     assert tool.size_of(folder) < tool.LARGEST_BYTES
-    assert card["files"] == tool.hashes_of(folder) and set(card["files"]) == {"model.toml", "plant.npz", tool.MAP}
+    assert card["files"] == tool.hashes_of(folder) and set(card["files"]) == {
+        "model.toml", "plant.npz", tool.MAP, tool.STEERING_MAP_FILE,
+    }  # fmt: skip
     assert model.vehicle_hash == card["vehicle_hash"] == card["map"]["vehicle_hash"] == f"sha256:{vehicle.hash}"
     assert driven is not None and card["driven"]["hash"] == f"sha256:{driven.hash}", (
         "make it anew: tools/make_models.py"
@@ -143,6 +145,7 @@ def charted(tmp_path: Path) -> Path:
     """A map as `map` leaves it."""
     path = tmp_path / "map" / tool.MAP
     path.parent.mkdir()
+    path.with_name(tool.STEERING_MAP_FILE).write_text("of the same logs\n")
     card = json.dumps({"schema": "tunefree.map/1", "logs": {"a": "b"}, "seed": 1})
     np.savez(path, speed_mps=[0.0], accel_mps2=[0.0], command_frac=[0.0], card=card)
     return path
@@ -154,7 +157,8 @@ def test_what_is_shipped_is_whole_small_and_says_when_nothing_changed(
     target = tmp_path / "out" / "x_learned"
     (first,) = tool.ship(learned, charted, target, {"made_by": "me"}).values()
     assert "0.50 m off" in first and "byte for byte" not in first
-    assert sorted(path.name for path in target.iterdir()) == [tool.MAP, tool.CARD, "model.toml", "plant.npz"]
+    names = [tool.MAP, tool.CARD, "model.toml", "plant.npz", tool.STEERING_MAP_FILE]
+    assert sorted(path.name for path in target.iterdir()) == names
     assert (target / tool.MAP).read_bytes() == charted.read_bytes() != (learned / tool.MAP).read_bytes()
     card = json.loads((target / tool.CARD).read_text())
     assert card["files"] == tool.hashes_of(target) and card["made_by"] == "me" and card["map"]["seed"] == 1

@@ -152,15 +152,19 @@ class Body:
 
 
 def _chassis(car: Car, h: Hidden) -> Part:
-    made: dict[tuple[float, float], tuple[Hidden, chassis.Chassis]] = {}  # by the road under it
+    made: dict[Any, tuple[Hidden, chassis.Chassis]] = {}  # by the road under it
 
     def on_road(road: Any) -> tuple[Hidden, chassis.Chassis]:
-        key = (road.grade_rad, road.friction_frac)
-        if key not in made:
-            here = h._replace(grade=h.grade + key[0], friction=h.friction * key[1])
+        if road not in made:
+            here = h._replace(
+                grade=h.grade + road.grade_rad,
+                friction=h.friction * road.friction_frac,
+                road_bank=h.road_bank + road.bank_rad,
+                side_wind=h.side_wind + (car.mass_kg + h.payload) * road.side_wind_mps2,
+            )
             made.clear()
-            made[key] = (here, chassis_of(car, here))
-        return made[key]
+            made[road] = (here, chassis_of(car, here))
+        return made[road]
 
     def step(params: Params, state: Body, x: Any, dt_s: float) -> tuple[Body, Motion]:
         here, c = on_road(x.road)

@@ -33,6 +33,7 @@ class CheckCriteria(NamedTuple):
     windows_s: tuple[float, ...] = (0.6, 0.8, 1.1, 1.5, 2.0, 2.7, 3.6, 4.8, 6.0)
     steps_a_window: int = 6
     min_cycles: float = 2.6  # in a window: three cycles whose first and last quarter may be missing
+    start_s: float = CRITERIA.start_s  # by definition the start is not counted, but for early ends
     early_end_s: float = 8.0  # a shorter drive left its lane: early_cycles are enough
     early_cycles: float = 1.6  # two cycles, as above
     max_cycles: float = 4.5
@@ -138,11 +139,13 @@ def _slow_gain(values: Array, reference: Array, dt_s: float) -> float:
 def _regular_swings(record: _Record) -> Iterator[CheckedSwing]:
     """The swings of all windows in which a sine stands out."""
     count, dt_s = len(record.values), record.dt_s
-    cycles = CHECK.min_cycles if count * dt_s >= CHECK.early_end_s else CHECK.early_cycles
+    is_early = count * dt_s < CHECK.early_end_s
+    cycles = CHECK.early_cycles if is_early else CHECK.min_cycles
+    first = 0 if is_early else round(CHECK.start_s / dt_s)
     lengths = sorted({min(round(window_s / dt_s), count - 2) for window_s in CHECK.windows_s})
     margin = round(CHECK.margin_s / dt_s)
     for length in lengths:
-        for start in range(0, count - length + 1, max(1, length // CHECK.steps_a_window)):
+        for start in range(first, count - length + 1, max(1, length // CHECK.steps_a_window)):
             window = record.values[start : start + length]
             limit = float(np.mean(record.limit[start : start + length]))
             if float(np.ptp(window)) < CHECK.least_ratio * limit:

@@ -27,6 +27,7 @@ from tools.measures._envelope import (
     envelope_files,
     error_ratios,
     head_commit,
+    mean_errors,
     on_roads,
     seed_of_commit,
     spread,
@@ -37,6 +38,7 @@ from tools.measures._envelope import (
 )
 from tools.measures._envelope_search import SearchRequest, Winner, find_winner, search_units
 from tools.measures._ledger import FIGURES, FOLDER, Ledger
+from tools.measures._rig import failed, replans
 from tools.measures._summary import machine, rounded, summary
 from tunefree_hil.bench import Bench, load
 from tunefree_hil.grade.requirements.verdict import JudgedGains, decide_verdict
@@ -197,6 +199,20 @@ def median_ratio(answers: VehicleAnswers) -> float:
     return float(np.median([ratio["geometric_mean"] for ratio in answers.ratios]))
 
 
+def describe_common_roads(answers: VehicleAnswers) -> dict[str, Any]:
+    """The ratios over the roads alone that the best plain manual set drives to the end without a re-plan.
+
+    Where that set leaves the lane, any set that stays in it looks good; these ratios are without such roads.
+    """
+    plain = answers.plain[answers.best_plain.name].drives
+    roads = [road for road, drive in plain.items() if not failed({road: drive}) and not replans({road: drive})]
+    if not roads:
+        return {"roads": 0}
+    base = mean_errors({road: plain[road] for road in roads})
+    ratios = [error_ratios(mean_errors({road: one.drives[road] for road in roads}), base) for one in answers.tuned]
+    return {"roads": len(roads), **{name: float(np.median([one[name] for one in ratios])) for name in ratios[0]}}
+
+
 def describe_vehicle(answers: VehicleAnswers) -> dict[str, Any]:
     """The detail of one vehicle."""
     plain, best, ratios = answers.best_plain, best_set(answers.improved), answers.ratios
@@ -205,6 +221,7 @@ def describe_vehicle(answers: VehicleAnswers) -> dict[str, Any]:
     scores = [one.score / best_plain.score for one in answers.tuned]
     return {
         "median_ratio": median_ratio(answers),
+        "where_plain_drives": describe_common_roads(answers),
         "largest_seed": max(ratio["geometric_mean"] for ratio in ratios),
         "largest_single_ratio": max(ratio[name] for ratio in ratios for name in ERRORS),
         "score_ratio": float(np.median(scores)),

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from tunefree_hil.base.records import NAN
+from tunefree_hil.base.records import NAN, Disturbance
 
 
 class Course(NamedTuple):
     """The planned drive. All tables are made by `base.kernel.table`.
 
     By time, row k at k * dt_s, `ticks + 1` rows (look-ups beyond the end use the last row):
-    station_m (path length driven), speed_mps, accel_mps2, and the road: grade_rad, friction_frac.
+    station_m (path length driven), speed_mps, accel_mps2, and the road: grade_rad, friction_frac, bank_rad (left
+    side up), side_wind_mps2 (force over the vehicle's mass, to the left).
     By station, row i at first_station_m + i * spacing_m: the path itself, extended straight at both ends so
     that every point of the vehicle has a projection. Station 0 is the position of the rear axle at t = 0.
     """
@@ -23,12 +24,23 @@ class Course(NamedTuple):
     accel_mps2: Any
     grade_rad: Any
     friction_frac: Any
+    bank_rad: Any
+    side_wind_mps2: Any
     first_station_m: float
     spacing_m: float
     path_x_m: Any
     path_y_m: Any
     path_heading_rad: Any  # continuous, not wrapped
     path_curvature_1pm: Any
+
+    def road_at(self, tick: int) -> Disturbance:
+        """The road under the vehicle at a tick."""
+        return Disturbance(
+            float(self.grade_rad[tick]),
+            float(self.friction_frac[tick]),
+            float(self.bank_rad[tick]),
+            float(self.side_wind_mps2[tick]),
+        )
 
 
 class Start(NamedTuple):

@@ -33,6 +33,8 @@ class Disturbance(NamedTuple):
 
     grade_rad: float = 0.0  # up positive
     friction_frac: float = 1.0
+    bank_rad: float = 0.0  # left side up positive: gravity pulls to the right
+    side_wind_mps2: float = 0.0  # force of the wind over the vehicle's mass, to the left
 
 
 class Actuation(NamedTuple):

@@ -67,6 +67,8 @@ class Setting(NamedTuple):
     dt_s: float
     grade_rad: Any
     friction_frac: Any
+    bank_rad: Any
+    side_wind_mps2: Any
     driver: Any
 
 
@@ -205,7 +207,12 @@ def make_episode(control: Callable[..., Any], unit: Callable[..., Any], follow: 
             write_row(out, rows, k, link, tracking)
             if code != 0.0:
                 return End(k + 1, code)
-            road = Disturbance(float(setting.grade_rad[k]), float(setting.friction_frac[k]))
+            road = Disturbance(
+                float(setting.grade_rad[k]),
+                float(setting.friction_frac[k]),
+                float(setting.bank_rad[k]),
+                float(setting.side_wind_mps2[k]),
+            )
             received = received_command(p.command, link.command)
             car_state, reported = unit(
                 car.params, car_state, UnitInput(received, driver_at(setting.driver, k), road), dt_s

@@ -169,7 +169,15 @@ class Simulator:
             buffer(max(len(self._link.bit_period), 1)),
             init_commands(self._wires["command"], self._link.command),
         )
-        setting = Setting(course.ticks, bench.dt_s, course.grade_rad, course.friction_frac, self._driver)
+        setting = Setting(
+            course.ticks,
+            bench.dt_s,
+            course.grade_rad,
+            course.friction_frac,
+            course.bank_rad,
+            course.side_wind_mps2,
+            self._driver,
+        )
         follow = block.params.follower
         controller = ControllerStart(
             block.params, block.init(block.params, bench.dt_s), follow, follower.init(follow, bench.dt_s)

@@ -46,7 +46,7 @@ METRICS = (
     *("longitudinal_jerk_rms", "pedal_rate_rms", "pedal_alternation"),
 )
 # Far beyond any drive: a larger number is a mistake, and some would overflow where a course is built.
-MOST = {"speed": 1e3, "curvature": 1e3, "grade": 1.5, "friction": 1e3}  # m/s, 1/m, rad, 1
+MOST = {"speed": 1e3, "curvature": 1e3, "grade": 1.5, "friction": 1e3, "bank": 1.5, "side_wind": 1e3}  # SI; angles rad
 MOST_START = {"along_m": 1e6, "lateral_m": 1e6, "heading_rad": 1e3, "speed_mps": 1e3}
 MOST_S, MOST_M = 86_400.0, 1e6
 MOST_SEED = 65535  # EPISODE carries it in 16 bits
@@ -99,7 +99,7 @@ def parse_road_set(text: str) -> RoadSetChoice:
 
 def check_scenario(spec: ScenarioSpec) -> Problems:
     """Profiles fit, nothing drives backwards, the seed fits its place on the bench channel."""
-    for name in ("speed", "curvature", "grade", "friction"):
+    for name in MOST:
         profile = getattr(spec, name)
         if profile is not None:
             yield from _profile(name, profile)

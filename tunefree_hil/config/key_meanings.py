@@ -97,6 +97,8 @@ _ROADS: dict[type[Spec], dict[str, str]] = {
         "curvature": "planned curvature of the path over time, 1/m, positive to the left",
         "grade": "slope of the road over time, rad, positive uphill; left out: level",
         "friction": "friction over time, as a share of the model's own; left out: 1",
+        "bank": "bank of the road over time, rad, positive with its left side up; left out: level",
+        "side_wind": "force of a side wind over the vehicle's mass over time, m/s2, to the left; left out: none",
     },
     StartSpec: {
         "along_m": "m ahead along the path's first direction",

@@ -177,6 +177,8 @@ class ScenarioSpec(Spec, frozen=True, kw_only=True):
     curvature: ProfileSpec
     grade: ProfileSpec | None = None
     friction: ProfileSpec | None = None
+    bank: ProfileSpec | None = None
+    side_wind: ProfileSpec | None = None
     path: str = ""
     hash: str = ""
 

@@ -105,10 +105,9 @@ def build(
     settings = settings or Settings()
     values = check_complete(parameters, tuple(own_values(names)))
     identified = identified or identified_of_data_sheet(vehicle)
-    setup = Setup(
-        values, vehicle, calibration, settings, dt_s, frozenset(absent), identified.steering, identified.delays
-    )
     lateral_part, longitudinal_part, inner_part = load_parts(names)
+    by_map = getattr(lateral_part, "knows_steering", False)
+    setup = Setup(values, vehicle, calibration, settings, dt_s, frozenset(absent), *identified, by_map)
     inner = bind(inner_part, setup)
     setup = with_loop_lag(setup, inner_part)
     return cascade.assemble(

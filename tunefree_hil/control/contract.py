@@ -123,6 +123,7 @@ class Setup:
     """Inputs of a recipe. `values`: every parameter by name; `absent`: record fields the vehicle lacks.
 
     `steering` and `delays` are what was identified of the vehicle; the paper's parts (lqr, pid, mrac) use neither.
+    is_bound_by_map: the bound of the steering by lateral acceleration has the slip of the steering map.
     """
 
     values: Mapping[str, float]
@@ -133,17 +134,20 @@ class Setup:
     absent: frozenset[str] = frozenset()
     steering: Any = None  # control.steering_map.SteeringMap
     delays: LoopDelays = NO_DELAYS
+    is_bound_by_map: bool = False
 
 
 class Recipe(NamedTuple):
     """A part that is computed at build time: make(setup) -> Block.
 
     loop_lag_s: of an inner part, the lag from the steering demand to the wheel with it; None: the actuator's own.
+    knows_steering: of a lateral part: it steers by the steering map, and so is the steering's bound.
     """
 
     make: Callable[[Setup], Block]
     tunables: tuple[Tunable, ...] = ()
     loop_lag_s: Callable[[Setup], float] | None = None
+    knows_steering: bool = False
 
 
 def chassis_speed_of(absent: Collection[str]) -> float:

@@ -1,6 +1,9 @@
 """Limits of the steering demand after the inner loop, in the order of docs/reference/apollo.md.
 
 clamp to atan(a_lat L / v^2) -> low-pass -> clamp to the wheel's limit -> hold near standstill -> clamp of the rate.
+
+That bound is without side slip, as published: an understeering vehicle reaches half of a_lat with it at motorway speed,
+and leaves the lane in a bend that it could drive. A lateral part that knows the steering map adds the slip's share.
 """
 
 from __future__ import annotations
@@ -10,8 +13,9 @@ from typing import NamedTuple
 
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.maths import clamp
-from tunefree_hil.control.contract import Setup, VehicleConstants
+from tunefree_hil.control.contract import Setup
 from tunefree_hil.control.filters import SecondOrder, SecondOrderState, butterworth, second_order_step
+from tunefree_hil.control.steering_map import steady_slip_rad
 
 
 class SteerBound(NamedTuple):
@@ -21,6 +25,7 @@ class SteerBound(NamedTuple):
     wheelbase_m: float
     steer_ratio: float
     steer_limit_rad: float
+    slip_rad: float = 0.0  # at the road wheel: what understeer adds at lateral_accel_mps2; 0 as published
 
 
 class LimitParams(NamedTuple):
@@ -39,15 +44,20 @@ class LimitState(NamedTuple):
     steer_rad: float
 
 
-def steer_bound_of(vehicle: VehicleConstants) -> SteerBound:
-    """The bound of a vehicle."""
-    return SteerBound(vehicle.lateral_accel_mps2, vehicle.wheelbase_m, vehicle.steer_ratio, vehicle.steer_limit_rad)
+def steer_bound_of(setup: Setup) -> SteerBound:
+    """The bound of a vehicle: as published, or with the understeer of its steering map. Oversteer narrows nothing."""
+    vehicle, slip_rad = setup.vehicle, 0.0
+    if setup.is_bound_by_map:
+        slip_rad = max(steady_slip_rad(setup.steering, vehicle.lateral_accel_mps2), 0.0)
+    return SteerBound(
+        vehicle.lateral_accel_mps2, vehicle.wheelbase_m, vehicle.steer_ratio, vehicle.steer_limit_rad, slip_rad
+    )
 
 
 def make(setup: Setup) -> Block:
     """x = (steer demand rad, speed m/s) -> steer command rad. The rate limit is the vehicle's (Apollo: none)."""
     low_pass = butterworth(setup.settings.cutoff_hz, setup.dt_s)
-    bound = steer_bound_of(setup.vehicle)
+    bound = steer_bound_of(setup)
     return Block(
         init, step, LimitParams(bound, low_pass, setup.settings.hold_speed_mps, setup.vehicle.steer_rate_radps)
     )
@@ -59,11 +69,12 @@ def init(params: LimitParams, dt_s: float) -> LimitState:
 
 @kernel
 def steer_bound(bound: SteerBound, speed_mps: float) -> float:
-    """Largest steering-wheel angle at a speed: atan(a_lat L / v^2) at the road wheel, within the wheel's limit."""
+    """Largest steering-wheel angle at a speed: atan(a_lat L / v^2) and slip at the road wheel, within its limit."""
     square = speed_mps * speed_mps
     if square < 1e-6:
         return bound.steer_limit_rad
-    wheel_rad = math.atan(bound.lateral_accel_mps2 * bound.wheelbase_m / square) * bound.steer_ratio
+    rolling_rad = math.atan(bound.lateral_accel_mps2 * bound.wheelbase_m / square)
+    wheel_rad = (rolling_rad + bound.slip_rad) * bound.steer_ratio
     return wheel_rad if wheel_rad < bound.steer_limit_rad else bound.steer_limit_rad
 
 

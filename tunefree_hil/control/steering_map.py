@@ -104,12 +104,16 @@ def odd_cubic(x: float, slope: float, cubic: float, bound: float) -> float:
 @kernel
 def steady_road_wheel_rad(steering: SteeringMap, speed_mps: float, curvature_1pm: float) -> float:
     """Road-wheel angle of steady cornering, without offset and dead zone."""
-    lateral_mps2 = speed_mps * speed_mps * curvature_1pm
     turning = odd_cubic(curvature_1pm, steering.length_m, steering.length_cubic_m3, steering.curvature_bound_1pm)
-    slipping = odd_cubic(
-        lateral_mps2, steering.understeer_s2pm, steering.understeer_cubic_s6pm3, steering.lateral_accel_bound_mps2
+    return turning + steady_slip_rad(steering, speed_mps * speed_mps * curvature_1pm)
+
+
+@kernel
+def steady_slip_rad(steering: SteeringMap, lateral_accel_mps2: float) -> float:
+    """The share of the road-wheel angle that understeer asks for; negative with oversteer."""
+    return odd_cubic(
+        lateral_accel_mps2, steering.understeer_s2pm, steering.understeer_cubic_s6pm3, steering.lateral_accel_bound_mps2
     )
-    return turning + slipping
 
 
 @kernel

@@ -20,6 +20,7 @@ from tunefree_hil.config.schema import ProfileSpec, ScenarioSpec
 Array = np.ndarray
 
 SPACING_M = 0.1
+PROFILES = ("speed", "curvature", "grade", "friction", "bank", "side_wind")
 PROLONGED_M = 20.0  # straight extension at both ends
 LEAST_ADVANCE_M = 1e-9  # below it a piece is standstill and adds nothing to the path
 
@@ -59,6 +60,8 @@ def build_course(spec: ScenarioSpec, dt_s: float) -> Course:
         accel_mps2=table(accel),
         grade_rad=table(_sample(spec.grade, tick_times, 0.0)),
         friction_frac=table(_sample(spec.friction, tick_times, 1.0)),
+        bank_rad=table(_sample(spec.bank, tick_times, 0.0)),
+        side_wind_mps2=table(_sample(spec.side_wind, tick_times, 0.0)),
         first_station_m=-PROLONGED_M,
         spacing_m=SPACING_M,
         path_x_m=table(x),
@@ -171,7 +174,7 @@ def _sample(profile: ProfileSpec | None, time_s: Array, otherwise: float) -> Arr
 
 
 def _check_profiles(spec: ScenarioSpec) -> None:
-    for key in ("speed", "curvature", "grade", "friction"):
+    for key in PROFILES:
         profile = getattr(spec, key)
         if profile is None:
             continue

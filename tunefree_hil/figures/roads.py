@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tunefree_hil.base.course import Course
+from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.episode.feasible import curvature_by_time
 from tunefree_hil.figures import style
 
@@ -19,7 +20,7 @@ WIDTH_INCHES = 14.0
 STRETCH_ABOVE = 10.0  # a path longer than this many times its width has a separate scale for y
 TITLES = (
     *("path (m)", "speed (m/s)", "curvature (1/m)"),
-    *("lateral acceleration (m/s²)", "acceleration (m/s²)", "slope, friction (%)"),
+    *("lateral acceleration (m/s²)", "acceleration (m/s²)", "slope, friction, bank, wind/g (%)"),
 )
 
 
@@ -54,5 +55,8 @@ def _signals(course: Course) -> list[tuple[np.ndarray, ...]]:
         (time, curvature),
         (time, speed * speed * curvature),
         (time, np.asarray(course.accel_mps2)),
-        (time, 100.0 * np.tan(course.grade_rad), 100.0 * np.asarray(course.friction_frac)),
+        (
+            *(time, 100.0 * np.tan(course.grade_rad), 100.0 * np.asarray(course.friction_frac)),
+            *(100.0 * np.tan(course.bank_rad), 100.0 / G_MPS2 * np.asarray(course.side_wind_mps2)),
+        ),
     ]

@@ -153,6 +153,8 @@ def course_from_points(points_file: ReferencePoints, dt_s: float, ahead_m: float
         accel_mps2=table(_planned_accel(times_s, time, speed)),
         grade_rad=table(np.zeros(ticks + 1)),
         friction_frac=table(np.ones(ticks + 1)),
+        bank_rad=table(np.zeros(ticks + 1)),
+        side_wind_mps2=table(np.zeros(ticks + 1)),
         first_station_m=-PROLONGED_M,
         spacing_m=SPACING_M,
         path_x_m=table(path.x_m),

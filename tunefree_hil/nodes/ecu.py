@@ -188,7 +188,7 @@ class EcuPart:
 
     def _step(self, k: int, received: ReceivedCommand) -> None:
         car = self.car
-        road = Disturbance(float(car.course.grade_rad[k]), float(car.course.friction_frac[k]))
+        road = car.course.road_at(k)
         x = UnitInput(received, car.driver(k), road)
         self._state, self._output = car.unit.step(self._params, self._state, x, car.dt_s)
         cause = self._output.status.watchdog_cause

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -77,8 +76,8 @@ class SingleTrack(NamedTuple):
     brake_drag_n: float
     brake_loss_per_j: float
     head_wind_mps: float
-    side_n: float  # of wind and bank, to the left
-    bank_mps2: float  # gravity to the right, measured by an accelerometer as specific force to the left
+    side_force_n: float  # of wind, to the left
+    bank_rad: float
     relaxation_m: float  # 0: the side force follows the slip without lag
 
 
@@ -123,7 +122,7 @@ def constants_of(params: Mapping[str, float], change: BodyChange) -> SingleTrack
         brake_drag_n=change.brake_drag_n,
         brake_loss_per_j=1e-6 * change.brake_loss_per_mj,
         head_wind_mps=change.head_wind_mps,
-        side_n=change.side_force_n - weight_n * math.sin(change.bank_rad),
-        bank_mps2=G_MPS2 * math.sin(change.bank_rad),
+        side_force_n=change.side_force_n,
+        bank_rad=change.bank_rad,
         relaxation_m=change.relaxation_m,
     )

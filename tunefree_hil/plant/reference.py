@@ -15,7 +15,7 @@ from typing import NamedTuple
 from tunefree_hil.base.contracts import LEAST_BRAKE_GAIN, BodyChange
 from tunefree_hil.base.kernel import Block, kernel
 from tunefree_hil.base.maths import clamp
-from tunefree_hil.base.records import GEAR_DRIVE, GEAR_PARK, Motion
+from tunefree_hil.base.records import GEAR_DRIVE, GEAR_PARK, Disturbance, Motion
 from tunefree_hil.base.units import G_MPS2
 from tunefree_hil.plant.reference_vehicle import actuators
 from tunefree_hil.plant.reference_vehicle.car import DEFAULTS, constants_of
@@ -48,6 +48,15 @@ class Slips(NamedTuple):
     rear_right: float
 
 
+class RoadForces(NamedTuple):
+    """What gravity and wind do on this road, changes by effects included."""
+
+    slope_n: float  # against the motion
+    side_n: float  # of wind and bank, to the left
+    side_wind_mps2: float  # of the wind alone: it acts on the body, not through the tyres
+    bank_mps2: float  # gravity to the right, measured by an accelerometer as specific force to the left
+
+
 class Step(NamedTuple):
     """Forces that are constant during one step."""
 
@@ -56,6 +65,7 @@ class Step(NamedTuple):
     rear_left: Tyre
     rear_right: Tyre
     resist_n: float  # slope and rolling, against the motion
+    side_n: float  # of wind and bank, to the left
     hold_s: float
 
 
@@ -106,7 +116,7 @@ def rates(p: Chassis, forces: Step, s: Slips) -> Slips:
     twist_nm = twist_nm + p.half_track_m * (fr_x + rr_x - fl_x - rl_x)
     return Slips(
         along_n * p.inverse_mass + s.side * s.yaw,
-        (fl_y + fr_y + rl_y + rr_y + p.side_n) * p.inverse_mass - s.speed * s.yaw,
+        (fl_y + fr_y + rl_y + rr_y + forces.side_n) * p.inverse_mass - s.speed * s.yaw,
         twist_nm * p.inverse_inertia,
         fl_rate,
         fr_rate,
@@ -166,6 +176,18 @@ def caught_up(value: float, target: float, lag_s: float, dt_s: float) -> float:
 
 
 @kernel
+def road_forces(p: Chassis, road: Disturbance) -> RoadForces:
+    """The road's own slope, bank and wind added to those of effects."""
+    fall = math.sin(road.bank_rad + p.bank_rad)
+    return RoadForces(
+        p.mass_kg * G_MPS2 * math.sin(road.grade_rad + p.grade_rad),
+        p.side_force_n + p.mass_kg * road.side_wind_mps2 - p.mass_kg * G_MPS2 * fall,
+        p.side_wind_mps2 + road.side_wind_mps2,
+        G_MPS2 * fall,
+    )
+
+
+@kernel
 def step_reference(
     params: ChassisParams, state: ReferenceState, x: ChassisInput, dt_s: float
 ) -> tuple[ReferenceState, Motion]:
@@ -194,10 +216,9 @@ def step_reference(
         engine_n = drive_n + idle_force_n(p.maps, motion_before.speed_mps, brake, MAP_REST_FRAC)
     elif act.gear == GEAR_PARK:
         brake_n = brake_n + PARKED_N
-    slope = x.road.grade_rad + p.grade_rad
-    slope_n = p.mass_kg * G_MPS2 * math.sin(slope)
-    if motion_before.speed_mps <= 0.0 and engine_n - slope_n - p.wind_n <= brake_n + rolling_n:
-        return stand(p, state, drive_n, box, brake_frac, slope_n, dt_s)
+    road = road_forces(p, x.road)
+    if motion_before.speed_mps <= 0.0 and engine_n - road.slope_n - p.wind_n <= brake_n + rolling_n:
+        return stand(p, state, drive_n, box, brake_frac, road, dt_s)
 
     front_n = state.slips.front_left * p.front_stiffness + state.slips.front_right * p.front_stiffness
     angle = act.steer_rad * p.inverse_ratio - p.compliance * front_n
@@ -207,20 +228,20 @@ def step_reference(
     held_n = engine_n - (fl.along_n + fr.along_n + rl.along_n + rr.along_n)  # slip of a tyre does not heat the brake
     braked_j = state.braked_j + dt_s * motion_before.speed_mps * clamp(held_n, 0.0, brake_n)
     calm = 1.0 + motion_before.speed_mps * motion_before.speed_mps * 0.1
-    forces = Step(fl, fr, rl, rr, slope_n + rolling_n, p.hold_s / calm)
+    forces = Step(fl, fr, rl, rr, road.slope_n + rolling_n, road.side_n, p.hold_s / calm)
     middle, slips = runge_kutta(p, forces, state.slips, dt_s)
     if slips.speed <= 0.0:
-        return stand(p, state, drive_n, box, brake_frac, slope_n, dt_s)
-    motion = moved(p, motion_before, forces, middle, slips, slope_n, dt_s)
+        return stand(p, state, drive_n, box, brake_frac, road, dt_s)
+    motion = moved(p, motion_before, forces, middle, slips, road, dt_s)
     loads = Loads(
         caught_up(state.loads.along_mps2, motion.accel_mps2, p.body_lag_s, dt_s),
-        caught_up(state.loads.left_mps2, motion.lateral_accel_mps2 - p.side_wind_mps2, p.body_lag_s, dt_s),
+        caught_up(state.loads.left_mps2, motion.lateral_accel_mps2 - road.side_wind_mps2, p.body_lag_s, dt_s),
     )
     return ReferenceState(motion, slips, loads, drive_n, box, brake_frac, braked_j), motion
 
 
 @kernel
-def moved(p: Chassis, motion: Motion, forces: Step, middle: Slips, s: Slips, slope_n: float, dt_s: float) -> Motion:
+def moved(p: Chassis, motion: Motion, forces: Step, middle: Slips, s: Slips, road: RoadForces, dt_s: float) -> Motion:
     """The motion after a step; wheels turn with the hub's speed and the slip that their force needs."""
     x_m, y_m, heading_rad = pose(p, motion, middle, s, dt_s)
     speed_rate = (s.speed - motion.speed_mps) / dt_s
@@ -234,8 +255,8 @@ def moved(p: Chassis, motion: Motion, forces: Step, middle: Slips, s: Slips, slo
         s.speed,
         s.side,
         s.yaw,
-        speed_rate - middle.side * middle.yaw + slope_n * p.inverse_mass,
-        (s.side - motion.side_speed_mps) / dt_s + middle.speed * middle.yaw + p.bank_mps2,
+        speed_rate - middle.side * middle.yaw + road.slope_n * p.inverse_mass,
+        (s.side - motion.side_speed_mps) / dt_s + middle.speed * middle.yaw + road.bank_mps2,
         speed_rate,
         (left * fl.cosine + front * fl.sine) * (1.0 + fl.along_n * p.inverse_slip) * p.inverse_radius,
         (right * fr.cosine + front * fr.sine) * (1.0 + fr.along_n * p.inverse_slip) * p.inverse_radius,
@@ -246,10 +267,10 @@ def moved(p: Chassis, motion: Motion, forces: Step, middle: Slips, s: Slips, slo
 
 @kernel
 def stand(
-    p: Chassis, state: ReferenceState, drive_n: float, box: Gearbox, brake_frac: float, slope_n: float, dt_s: float
+    p: Chassis, state: ReferenceState, drive_n: float, box: Gearbox, brake_frac: float, road: RoadForces, dt_s: float
 ) -> tuple[ReferenceState, Motion]:
     """Standing still: nothing moves, the tyres have no slip, the body settles."""
-    motion_before, gravity_mps2 = state.motion, slope_n * p.inverse_mass
+    motion_before, gravity_mps2 = state.motion, road.slope_n * p.inverse_mass
     motion = Motion(
         motion_before.x_m,
         motion_before.y_m,
@@ -258,7 +279,7 @@ def stand(
         0.0,
         0.0,
         gravity_mps2,
-        p.bank_mps2,
+        road.bank_mps2,
         0.0,
         0.0,
         0.0,
@@ -267,7 +288,7 @@ def stand(
     )
     loads = Loads(
         caught_up(state.loads.along_mps2, gravity_mps2, p.body_lag_s, dt_s),
-        caught_up(state.loads.left_mps2, p.bank_mps2 - p.side_wind_mps2, p.body_lag_s, dt_s),
+        caught_up(state.loads.left_mps2, road.bank_mps2 - road.side_wind_mps2, p.body_lag_s, dt_s),
     )
     at_ease = Slips(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     return ReferenceState(motion, at_ease, loads, drive_n, box, brake_frac, state.braked_j), motion

@@ -57,7 +57,7 @@ def planar(
     across_n = front_n * steer[1]
     return (
         (forward_n(p, push, speed) - front_n * steer[2]) * p.inverse_mass + side * yaw,
-        (across_n + rear_n + p.side_n) * p.inverse_mass - speed * yaw,
+        (across_n + rear_n + push.side_n) * p.inverse_mass - speed * yaw,
         (p.front_axle_m * across_n - p.rear_axle_m * rear_n) * p.inverse_inertia,
     )
 
@@ -129,7 +129,7 @@ def pushed(
         rolled = speed * sine / max(cosine, 0.1) * p.inverse_wheelbase
         yaw = share * yaw + (1.0 - share) * rolled
         side = share * side + (1.0 - share) * rolled * p.rear_axle_m
-    gravity_mps2 = (push.slope_n * p.inverse_mass, p.bank_mps2)
+    gravity_mps2 = (push.slope_n * p.inverse_mass, push.bank_mps2)
     return Advance(Velocity(speed, side, yaw), gravity_mps2, push.brake_n, (cosine, sine), after)
 
 

@@ -27,7 +27,7 @@ class RoadQuantity(Enum):
     JERK = "jerk along the road, m/s3"
     CURVATURE = "curvature (steering angle), 1/m"
     CURVATURE_RATE = "rate of curvature (steering rate), 1/m/s"
-    LATERAL_ACCEL = "lateral acceleration, m/s2"
+    LATERAL_ACCEL = "lateral acceleration with the bank's and the wind's share, m/s2"
     LATERAL_JERK = "lateral jerk, m/s3"
     GRIP = "acceleration in the plane for the road's friction, m/s2"
 
@@ -46,10 +46,11 @@ def find_excesses(draft: RoadDraft, limits: RoadLimits) -> list[LimitExcess]:
     speed, curvature = draft.speed_mps, draft.curvature_1pm
     accel = np.diff(speed) / STEP_S
     middle_mps = 0.5 * (speed[1:] + speed[:-1])
-    pull = accel + GRAVITY_MPS2 * np.sin(_middle(draft.grade_rad, len(accel), 0.0))
+    pull = accel + GRAVITY_MPS2 * np.sin(_middle(_or_flat(draft, draft.grade_rad, 0.0)))
     lateral = speed * speed * curvature
-    middle_lateral = middle_mps * middle_mps * 0.5 * (curvature[1:] + curvature[:-1])
-    grip = CRITERIA.max_grip_share * GRAVITY_MPS2 * _middle(draft.friction_frac, len(accel), 1.0)
+    held = lateral + _side_pull(draft)
+    middle_held = middle_mps * middle_mps * 0.5 * (curvature[1:] + curvature[:-1]) + _middle(_side_pull(draft))
+    grip = CRITERIA.max_grip_share * GRAVITY_MPS2 * _middle(_or_flat(draft, draft.friction_frac, 1.0))
     duration = np.full(1, (len(speed) - 1) * STEP_S)
     checks = (
         (RoadQuantity.DURATION, duration, CRITERIA.max_duration_s),
@@ -59,9 +60,9 @@ def find_excesses(draft: RoadDraft, limits: RoadLimits) -> list[LimitExcess]:
         (RoadQuantity.JERK, _mean_rate(accel), jerk_at_mps3(_window_most(middle_mps))),
         (RoadQuantity.CURVATURE, curvature, limits.curvature_1pm(speed)),
         (RoadQuantity.CURVATURE_RATE, np.diff(curvature) / STEP_S, limits.curvature_rate_1pmps(middle_mps)),
-        (RoadQuantity.LATERAL_ACCEL, lateral, limits.lateral_accel_mps2),
+        (RoadQuantity.LATERAL_ACCEL, held, limits.lateral_accel_mps2),
         (RoadQuantity.LATERAL_JERK, _mean_rate(lateral), CRITERIA.max_lateral_jerk_mps3),
-        (RoadQuantity.GRIP, np.hypot(pull, middle_lateral), grip),
+        (RoadQuantity.GRIP, np.hypot(pull, middle_held), grip),
     )
     return [excess for check in checks if (excess := _worst(*check)) is not None]
 
@@ -81,8 +82,17 @@ def _worst(quantity: RoadQuantity, values: np.ndarray, limit: float | np.ndarray
     return LimitExcess(quantity, float(abs(values[index])), float(bounds[index]), index * STEP_S)
 
 
-def _middle(values: np.ndarray | None, count: int, otherwise: float) -> np.ndarray:
-    return np.full(count, otherwise) if values is None else 0.5 * (values[1:] + values[:-1])
+def _side_pull(draft: RoadDraft) -> np.ndarray:
+    """Lateral acceleration, to the left, that the tyres give against bank and wind: what it takes to go straight on."""
+    return GRAVITY_MPS2 * np.sin(_or_flat(draft, draft.bank_rad, 0.0)) - _or_flat(draft, draft.side_wind_mps2, 0.0)
+
+
+def _or_flat(draft: RoadDraft, values: np.ndarray | None, otherwise: float) -> np.ndarray:
+    return np.full(len(draft.speed_mps), otherwise) if values is None else values
+
+
+def _middle(values: np.ndarray) -> np.ndarray:
+    return 0.5 * (values[1:] + values[:-1])
 
 
 def _window() -> int:

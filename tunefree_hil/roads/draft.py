@@ -38,6 +38,8 @@ class RoadDraft(NamedTuple):
     Attributes:
         grade_rad: Slope, positive uphill; None: level.
         friction_frac: Share of the model's own friction; None: 1.
+        bank_rad: Bank, positive with the left side up; None: level.
+        side_wind_mps2: Force of a side wind over the vehicle's mass, to the left; None: none.
         description: The road in a sentence.
     """
 
@@ -46,6 +48,8 @@ class RoadDraft(NamedTuple):
     description: str
     grade_rad: np.ndarray | None = None
     friction_frac: np.ndarray | None = None
+    bank_rad: np.ndarray | None = None
+    side_wind_mps2: np.ndarray | None = None
 
     @property
     def time_s(self) -> np.ndarray:

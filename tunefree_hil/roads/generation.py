@@ -22,7 +22,7 @@ STRETCH = 1.12  # factor on the time of ramps
 SCENARIO_SCHEMA = "tunefree.scenario/1"
 NOISE_SEEDS = 65536
 # Digits behind the point. Coarser than the last bits of sin and cos, which differ between machines.
-SPEED_DIGITS, CURVATURE_DIGITS, GRADE_DIGITS, FRICTION_DIGITS = 4, 6, 5, 3
+SPEED_DIGITS, CURVATURE_DIGITS, ANGLE_DIGITS, FRICTION_DIGITS, WIND_DIGITS = 4, 6, 5, 3, 3
 
 LATERAL = {RoadQuantity.CURVATURE, RoadQuantity.LATERAL_ACCEL}
 LONGITUDINAL = {RoadQuantity.ACCEL, RoadQuantity.DECEL}
@@ -79,8 +79,10 @@ def make_road(
         start=start,
         speed=_profile(draft.time_s, draft.speed_mps, SPEED_DIGITS),
         curvature=_profile(draft.time_s, draft.curvature_1pm, CURVATURE_DIGITS),
-        grade=None if draft.grade_rad is None else _profile(draft.time_s, draft.grade_rad, GRADE_DIGITS),
-        friction=None if draft.friction_frac is None else _profile(draft.time_s, draft.friction_frac, FRICTION_DIGITS),
+        grade=_road_profile(draft, draft.grade_rad, ANGLE_DIGITS),
+        friction=_road_profile(draft, draft.friction_frac, FRICTION_DIGITS),
+        bank=_road_profile(draft, draft.bank_rad, ANGLE_DIGITS),
+        side_wind=_road_profile(draft, draft.side_wind_mps2, WIND_DIGITS),
     )
     return _with_hash(spec)
 
@@ -145,6 +147,10 @@ def _draw_start(speed_mps: float, limits: RoadLimits, chance: Random) -> StartSp
 
 def _plain_start(draft: RoadDraft) -> StartSpec:
     return StartSpec(speed_mps=round(float(draft.speed_mps[0]), SPEED_DIGITS))
+
+
+def _road_profile(draft: RoadDraft, values: np.ndarray | None, digits: int) -> ProfileSpec | None:
+    return None if values is None else _profile(draft.time_s, values, digits)
 
 
 def _profile(time_s: np.ndarray, values: np.ndarray, digits: int) -> ProfileSpec:

@@ -143,6 +143,12 @@ def wave_trace(time_s: np.ndarray, begin_s: float, half_s: float, amplitudes: Se
     return np.where(inside, height * np.sin(np.pi * (phase - index)), 0.0)
 
 
+def gust_trace(time_s: np.ndarray, begin_s: float, duration_s: float, peak: float) -> np.ndarray:
+    """One gust of the shape 1 - cos, as gust standards have it (CS 25.341): the peak at half of its duration."""
+    share = np.clip((time_s - begin_s) / duration_s, 0.0, 1.0)
+    return 0.5 * peak * (1.0 - np.cos(2.0 * np.pi * share))
+
+
 def curvature_from_lateral(lateral_accel_mps2: np.ndarray, speed_mps: np.ndarray) -> np.ndarray:
     """Curvature at which the speeds give the lateral accelerations; 0 at a crawl."""
     return np.where(speed_mps > 0.5, lateral_accel_mps2 / np.maximum(speed_mps, 0.5) ** 2, 0.0)

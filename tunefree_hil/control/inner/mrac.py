@@ -122,7 +122,7 @@ def make(setup: Setup) -> Block:
         x_low=1.0 - tau_s / clamp_s if clamp_s > 0.0 else 0.0,
         r_high=tau_s / clamp_s if clamp_s > 0.0 else 0.0,
         start=start_gains(values["mrac.t_ref_s"], vehicle, settings),
-        bound=steer_bound_of(vehicle),
+        bound=steer_bound_of(setup),
     )
     return Block(init, step, params, CONTROLLER.tunables)
 

@@ -89,7 +89,7 @@ def make(setup: Setup) -> Block:
         start_command=ratio,
         reach=values["mrac.reach"],
         delay_ticks=round((delays.steer_dead_time_s + delays.bus_s) / setup.dt_s),
-        bound=steer_bound_of(vehicle),
+        bound=steer_bound_of(setup),
     )
     return Block(init, step, params, CONTROLLER.tunables)
 

@@ -112,7 +112,7 @@ def make(setup: Setup) -> Block:
         steering=setup.steering,
         car=car,
         integral_1ps=values["steer.integral_1ps"],
-        bound=steer_bound_of(vehicle),
+        bound=steer_bound_of(setup),
         chassis_speed=chassis_speed_of(setup.absent),
     )
     return Block(init, step, params, CONTROLLER.tunables)
@@ -342,4 +342,4 @@ OWN = (
     Tunable("steer.predict", "1", 0.0, 2.0, "linear"),
     Tunable("steer.integral_1ps", "1/s", 0.0, 0.04, "linear"),
 )
-CONTROLLER = Recipe(make, tunables_of("lqr.") + OWN)
+CONTROLLER = Recipe(make, tunables_of("lqr.") + OWN, knows_steering=True)

@@ -164,7 +164,7 @@ def make_actuator_loop(effects: Effects) -> Callable[..., int]:
     @kernel
     def run_actuators(params: BodyParams, state: BodyState, inputs: Any, outputs: Any, dt_s: float) -> int:
         rows = len(inputs) // N_INPUTS
-        road = Disturbance(0.0, 1.0)
+        road = Disturbance(0.0, 1.0, 0.0, 0.0)
         for k in range(1, rows):
             command = unpack_command(inputs, k * N_INPUTS)
             state, y = tick(params, state, BodyInput(command, NO_DRIVER, road), dt_s)
@@ -191,7 +191,7 @@ def make_vehicle_loop(effects: Effects, chassis_step: Any, observe: Any) -> Call
     @kernel
     def run_vehicle(params: BodyParams, state: BodyState, inputs: Any, simulated: Any, dt_s: float) -> int:
         rows = len(inputs) // N_INPUTS
-        road = Disturbance(0.0, 1.0)
+        road = Disturbance(0.0, 1.0, 0.0, 0.0)
         for k in range(1, rows):
             start = k * N_INPUTS
             chassis = state.chassis

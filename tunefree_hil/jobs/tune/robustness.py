@@ -1,5 +1,7 @@
 """Robustness check: the best trials are driven again in a slower car; the winner is the best one that passes.
 
+A trial passes that drives both cars without a re-plan, an unfinished drive or an oscillation beyond its limit.
+
 The slower car is the plant of the search with dead times and lags of all actuators times `[tune] slower`. With 1.5, the
 default, a trial that passes has the smallest phase margin that textbooks allow, 30 degrees (docs/reference/margins.md).
 The slower car is always driven in the batch.
@@ -116,13 +118,13 @@ def check_robustness(
 def drive_slower_car(
     batch: JobDriver, bench: Bench, study: ScoredStudy, vectors: Mapping[str, Mapping[str, float]]
 ) -> Generator[Event, None, dict[str, DriveTotals]]:
-    """Drive the baselines without re-plans, then the trials in the order of their scores, until no other can win."""
+    """Drive the clean baselines, then the trials in the order of their scores, until no other can win."""
     totals: dict[str, DriveTotals] = {}
     baselines = {name: vectors[name] for name, base in study.baselines().items() if _nominal_totals(base).is_clean}
     yield Event("note", f"robustness check of the best trials ({slower_car_text(bench.spec.tune.slower)})")
     totals |= _drive_vectors(batch, bench, baselines)
     if not any(_nominal_totals(trial).is_clean for trial in study.trials()):
-        message = "no trial drives all scenarios without a re-plan, so none can pass the robustness check"
+        message = "each trial re-plans, fails or oscillates in some scenario, so none can pass the robustness check"
         yield Event("warning", f"{message}: the best score wins")
     ranked, started = sorted(study.trials(), key=trial_order), time.monotonic()
     batch_size = -(-MIN_DRIVES_PER_CALL // len(bench.spec.scenarios))
@@ -319,9 +321,11 @@ def _totals_text(entry: Mapping[str, Any]) -> str:
     """'re-plans 13 times and fails in 3 scenarios', or another reason why a trial did not win."""
     totals = entry["slower"]
     if totals is None:
-        return "re-plans or fails in the nominal car"
+        return "re-plans, fails or oscillates in the nominal car"
     parts = [f"re-plans {_count_text(totals['replans'], 'time')}"] if totals["replans"] else []
     parts += [f"fails in {_count_text(totals['failed'], 'scenario')}"] if totals["failed"] else []
+    swinging = totals.get("oscillating", 0)  # not in results of older versions
+    parts += [f"oscillates in {_count_text(swinging, 'scenario')}"] if swinging else []
     return " and ".join(parts) or f"scores {totals['score']:.3f}"
 
 

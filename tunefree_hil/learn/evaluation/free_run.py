@@ -189,7 +189,8 @@ def make_free_run_loop(step: Any, observe: Any) -> Callable[..., int]:
                 state = observe(state, unpack_motion(measured, (k - 1) * N_MEASURED))
             i = k * N_INPUTS
             act = Actuation(float(inputs[i]), float(inputs[i + 1]), float(inputs[i + 2]), GEAR_DRIVE)
-            state, motion = step(params, state, ChassisInput(act, Disturbance(float(inputs[i + 3]), 1.0)), dt_s)
+            road = Disturbance(float(inputs[i + 3]), 1.0, 0.0, 0.0)
+            state, motion = step(params, state, ChassisInput(act, road), dt_s)
             i = k * N_OUTPUTS
             outputs[i] = motion.x_m
             outputs[i + 1] = motion.y_m

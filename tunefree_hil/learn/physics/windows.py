@@ -368,7 +368,7 @@ def run_single_track(
         outputs: Receives TARGETS, shape (n_rows * 6,).
     """
     state, throttle_lag = start.state, start.throttle_lag
-    road = Disturbance(start.grade_rad, 1.0)
+    road = Disturbance(start.grade_rad, 1.0, 0.0, 0.0)
     for i in range(len(throttle_history)):
         throttle_lag, _ = step_soft(0.0, throttle_lag, float(throttle_history[i]), dt_s)
     rows = len(inputs) // 4

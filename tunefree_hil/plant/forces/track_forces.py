@@ -19,7 +19,7 @@ PARKED_N = 1.0e6  # holding force of a locked gearbox
 
 
 class Push(NamedTuple):
-    """Forces along the car, constant for one tick; the drive depends on the speed."""
+    """Forces along the car and from its side, constant for one tick; the drive depends on the speed."""
 
     drive_n: float  # at standstill
     drive_power_w: float
@@ -28,11 +28,13 @@ class Push(NamedTuple):
     passive_n: float  # brake and rolling: only against the motion
     slope_n: float
     brake_n: float  # the brakes' part of passive_n
+    side_n: float  # of wind and bank, to the left
+    bank_mps2: float  # gravity to the right, measured by an accelerometer as specific force to the left
 
 
 @kernel
 def push_of(p: SingleTrack, x: ChassisInput, braked_j: float) -> Push:
-    """Drive, creep, brake and slope from pedals, gear and road; braked_j: energy dissipated by the brakes."""
+    """The forces of pedals, gear, road and side wind; braked_j: energy dissipated by the brakes."""
     act, road = x.actuation, x.road
     throttle = clamp((act.throttle_frac - p.throttle_zero_frac) * p.inverse_throttle_span, 0.0, 1.0)
     braked = act.brake_frac - p.rest_frac
@@ -43,16 +45,20 @@ def push_of(p: SingleTrack, x: ChassisInput, braked_j: float) -> Push:
     if brake_n > grip_n:
         brake_n = grip_n
     slope_n = p.mass_kg * G_MPS2 * math.sin(road.grade_rad + p.grade_rad)
+    fall = math.sin(road.bank_rad + p.bank_rad)
+    side_n = p.side_force_n + p.mass_kg * road.side_wind_mps2 - p.mass_kg * G_MPS2 * fall
+    bank_mps2 = G_MPS2 * fall
     if act.gear < GEAR_DRIVE:
         held_n = PARKED_N if act.gear == GEAR_PARK else 0.0
-        return Push(0.0, 0.0, 0.0, 0.0, brake_n + p.rolling_n + p.brake_drag_n + held_n, slope_n, brake_n)
+        passive_n = brake_n + p.rolling_n + p.brake_drag_n + held_n
+        return Push(0.0, 0.0, 0.0, 0.0, passive_n, slope_n, brake_n, side_n, bank_mps2)
     released = math.exp(-throttle * p.inverse_knee)
     drive_n = p.drive_force_n * (1.0 - released)
     if drive_n > 0.5 * grip_n:
         drive_n = 0.5 * grip_n
     passive_n = brake_n + p.rolling_n + p.brake_drag_n
     power_w, overrun_n = p.drive_power_w * throttle, p.overrun_force_n * released
-    return Push(drive_n, power_w, p.creep_force_n, overrun_n, passive_n, slope_n, brake_n)
+    return Push(drive_n, power_w, p.creep_force_n, overrun_n, passive_n, slope_n, brake_n, side_n, bank_mps2)
 
 
 @kernel

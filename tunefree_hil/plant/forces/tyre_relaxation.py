@@ -51,7 +51,7 @@ def relaxed_rates(
     across_n = axles.front_n * steer[1]
     return Rates(
         (forward_n(p, push, speed) - axles.front_n * steer[2]) * p.inverse_mass + side * yaw,
-        (across_n + axles.rear_n + p.side_n) * p.inverse_mass - speed * yaw,
+        (across_n + axles.rear_n + push.side_n) * p.inverse_mass - speed * yaw,
         (p.front_axle_m * across_n - p.rear_axle_m * axles.rear_n) * p.inverse_inertia,
         follow * (axle_n(front_slip, p.front_stiffness, grip * p.front_load_n) - axles.front_n),
         follow * (axle_n(rear_slip, p.rear_stiffness, grip * p.rear_load_n) - axles.rear_n),

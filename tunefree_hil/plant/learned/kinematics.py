@@ -2,7 +2,8 @@
 
 The rear axle does not slip sideways. Quantities that are no input of the network are added as accelerations: gravity on
 a grade, a dragging brake, air and rolling resistance, the mass of a payload. Friction limits acceleration and
-speed * yaw rate to friction * g. Other changes are refused when the plant is built.
+speed * yaw rate to friction * g. Other changes are refused when the plant is built. A road's bank is felt by the
+accelerometer and its side wind is not: the axle holds against both, and the path stays as it is.
 """
 
 from __future__ import annotations
@@ -111,7 +112,8 @@ def driven(
     yaw = clamp(yaw_rate_radps, -most, most) * clamp(speed / FADE_MPS, 0.0, 1.0)
     angle = x.actuation.steer_rad * p.inverse_ratio
     velocity = Velocity(speed, p.rear_axle_m * yaw, yaw)
-    return moved(p, motion, velocity, (slope, 0.0), (math.cos(angle), math.sin(angle)), dt_s)
+    gravity_mps2 = (slope, G_MPS2 * math.sin(x.road.bank_rad))
+    return moved(p, motion, velocity, gravity_mps2, (math.cos(angle), math.sin(angle)), dt_s)
 
 
 @kernel

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from tunefree_hil.base.contracts import BodyChange
@@ -96,9 +95,9 @@ def constants_of(params: Mapping[str, float], change: BodyChange) -> Chassis:
         brake_loss_per_j=1e-6 * change.brake_loss_per_mj,
         head_wind_mps=change.head_wind_mps,
         wind_n=drag_kgpm * change.head_wind_mps * abs(change.head_wind_mps),
-        side_n=change.side_force_n - car.mass_kg * G_MPS2 * math.sin(change.bank_rad),
+        side_force_n=change.side_force_n,
         side_wind_mps2=change.side_force_n / car.mass_kg,
-        bank_mps2=G_MPS2 * math.sin(change.bank_rad),
+        bank_rad=change.bank_rad,
         maps=maps_of(
             v["rolling_frac"],
             v["drag_area_m2"],

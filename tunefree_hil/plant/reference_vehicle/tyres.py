@@ -98,9 +98,9 @@ class Chassis(NamedTuple):
     brake_loss_per_j: float
     head_wind_mps: float
     wind_n: float  # force of the wind on a standing car, backwards
-    side_n: float  # of wind and bank, to the left
-    side_wind_mps2: float  # of the wind alone: it acts on the body, not through the tyres
-    bank_mps2: float  # gravity to the right, measured by an accelerometer as specific force to the left
+    side_force_n: float  # of wind, to the left
+    side_wind_mps2: float  # the same over the mass
+    bank_rad: float
     maps: Any
 
 
