@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
 from pathlib import Path
@@ -15,6 +16,7 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load, model_of
 from tunefree_hil.bench.controller import ControllerFor, constants_of
 from tunefree_hil.bench.identified import equivalent_lag_s, identified_of, map_of_plant
+from tunefree_hil.config.learned.steering_map_schema import load_steering_map
 from tunefree_hil.config.schema import ActuatorSpec
 from tunefree_hil.control.steering_map import SteeringMap, data_sheet_map
 from tunefree_hil.jobs.identity import compute_identity, resolved_toml
@@ -43,7 +45,7 @@ def bench_of(folder: Path, choice: str | None = None) -> Bench:
     """A bench whose model folder is its own."""
     model = folder / "own"
     if not model.exists():
-        shutil.copytree(MODELS / "mkz_learned", model)
+        shutil.copytree(MODELS / "mkz_learned", model, ignore=shutil.ignore_patterns("steering_map.toml"))
     more = "" if choice is None else f'[controller]\nsteering_map = "{choice}"\n'
     path = write_bench(folder, more=more)
     path.write_text(path.read_text().replace('model = "mkz_nominal"', f'model = "{model}"', 1))
@@ -123,8 +125,12 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     assert caught.value.code == "no_steering_map"
 
 
-def test_shipped_models_have_none() -> None:
-    assert not list(MODELS.glob("*/steering_map.toml"))
+def test_shipped_learned_models_have_the_map_of_their_own_logs() -> None:
+    folders = [path.parent for path in MODELS.glob("*_learned/card.json")]
+    assert folders
+    for folder in folders:
+        logs = {log["name"]: log["hash"] for log in json.loads((folder / "card.json").read_text())["logs"]}
+        assert load_steering_map(folder / "steering_map.toml").source.hashes == logs
 
 
 def test_the_lag_of_a_second_order_actuator() -> None:

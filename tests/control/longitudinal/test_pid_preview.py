@@ -217,3 +217,27 @@ def test_a_replan_is_taken_at_once():
     for station in (0.0, 0.0, 2.0):
         state, _ = block.step(block.params, state, seen(station), DT_S)
     assert state.station_m == 2.0
+
+
+# Learned on the motorway: flat between 45 and 60 % of the throttle, where the drive is near its power limit.
+FLAT = from_triples([28.0] * 6, [-5.0, -0.45, COAST_MPS2, 0.5, 0.55, 0.9], [-0.5, -0.15, 0.15, 0.45, 0.60, 0.70])
+FLAT_SLOPE = (0.70 - 0.15) / (0.9 - COAST_MPS2)
+
+
+def throttle_frac(planned_mps2: float, speed_error_mps: float) -> float:
+    block = make(calibration=FLAT, station__kp=0.0, speed__kp_high=1.0, speed__ki_high=0.0)
+    x = seen(speed=speed_error_mps, accel=planned_mps2, v=28.0, plan=28.0)
+    return block.step(block.params, block.init(block.params, DT_S), x, DT_S)[1].throttle_frac
+
+
+@pytest.mark.parametrize("feedback_mps2", [-0.1, -0.03, 0.04, 0.1])
+def test_feedback_does_not_gain_where_the_map_is_flat(feedback_mps2):
+    planned_frac = throttle_frac(0.52, 0.0)
+    assert planned_frac == pytest.approx(0.51)  # the plan goes by the map
+    moved = throttle_frac(0.52, feedback_mps2) - planned_frac
+    most = pid_preview.SLOPE_FACTOR * FLAT_SLOPE * abs(feedback_mps2)
+    assert 0.0 < math.copysign(1.0, feedback_mps2) * moved <= most + 1e-12
+
+
+def test_feedback_goes_by_the_map_where_that_is_not_flat():
+    assert throttle_frac(0.1, 0.1) == pytest.approx(0.15 + 0.3 * 0.6 / 0.9)

@@ -17,11 +17,15 @@ added, each with a parameter of its own, 0 for off:
 - `pedals.hysteresis_mps2`: the other pedal is taken only where the map asks for it by so much acceleration; between,
   the throttle goes to rest, and the brake to the duty from which it acts: noise does not lift and press it in turns.
   The map, not the sign of the acceleration, says which pedal: coasting drag is used.
+
+Feedback moves the throttle by at most SLOPE_FACTOR times the mean slope of the map at that speed: where a learned map
+is flat, beyond its data or at the power limit, its inverse would multiply the gain of the loop.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.contracts import Block, Tunable
@@ -46,18 +50,21 @@ OBSERVER_SPEED_MPS = 0.5  # slower, brake and creep hold the vehicle and the obs
 OBSERVER_FILTER_S = 0.2  # of the estimator where the feedback does without it: the observer takes its acceleration
 LEAST_FILTER_S = 0.05  # a shorter time constant of the estimator is taken for this one: it stays stable at 0.01 s ticks
 STATION_JUMP_M = 0.3  # a larger difference is a re-plan, not noise
+SLOPE_FACTOR = 1.5  # a throttle seldom is so much weaker than in the mean; below a gain margin of 2
+UNBOUNDED = 1e6  # duty per m/s2; finite, as rows of a map are interpolated
 THROTTLE, BRAKE = 1.0, -1.0
 
 
 class PedalEdges(NamedTuple):
     """Ends of a map by speed: least and most acceleration; duty from which the brake acts, rest where it never does.
 
-    Each is a map with one value per speed.
+    slope_frac_s2pm: duty of the throttle per acceleration, from rest to the end. Each has one value per speed.
     """
 
     low_mps2: CalibrationMap
     high_mps2: CalibrationMap
     first_brake_frac: CalibrationMap
+    slope_frac_s2pm: CalibrationMap
 
 
 class PidPreviewParams(NamedTuple):
@@ -141,13 +148,22 @@ def find_edges(calibration: CalibrationMap, rest_frac: float) -> PedalEdges:
     """The edges of a map in the rows of its speeds."""
     speeds = [float(speed_mps) for speed_mps in calibration.speed_mps]
     zeros = [0.0] * len(speeds)
-    lows, highs, brakes = [], [], []
+    lows, highs, brakes, slopes = [], [], [], []
     for first, end in itertools.pairwise(int(place) for place in calibration.first):
         lows.append(float(calibration.at[first]))
         highs.append(float(calibration.at[end - 1]))
         braking = [-float(frac) for frac in calibration.value[first:end] if -frac > rest_frac]
         brakes.append(min(braking, default=rest_frac))
-    return PedalEdges(*(from_triples(speeds, zeros, column) for column in (lows, highs, brakes)))
+        slopes.append(throttle_slope(calibration.at[first:end], calibration.value[first:end], rest_frac))
+    return PedalEdges(*(from_triples(speeds, zeros, column) for column in (lows, highs, brakes, slopes)))
+
+
+def throttle_slope(accels_mps2: Sequence[float], commands_frac: Sequence[float], rest_frac: float) -> float:
+    """Mean slope of a row of a map, ascending: duty of the throttle per acceleration; UNBOUNDED without a throttle."""
+    pressed = [(float(a), float(u)) for a, u in zip(accels_mps2, commands_frac, strict=True) if u >= rest_frac]
+    if len(pressed) < 2 or pressed[-1][0] <= pressed[0][0]:
+        return UNBOUNDED
+    return (pressed[-1][1] - pressed[0][1]) / (pressed[-1][0] - pressed[0][0])
 
 
 def init(params: PidPreviewParams, dt_s: float) -> PidPreviewState:
@@ -180,7 +196,8 @@ def step(
         integral_mps2, feedback_mps2 = 0.0, 0.0
         accel_mps2 = min(accel_mps2, STANDSTILL_MPS2)
     accel_mps2 = clamp(accel_mps2, params.accel_low_mps2, params.accel_high_mps2)
-    pedal, pedals = choose_pedal(params, state.pedal, v, accel_mps2, stopping)
+    planned_mps2 = clamp(tracking.preview_accel_mps2, params.accel_low_mps2, params.accel_high_mps2)
+    pedal, pedals = choose_pedal(params, state.pedal, v, (accel_mps2, planned_mps2), stopping)
     feedback_place = put(state.feedback_mps2, state.feedback_place, feedback_mps2)
     possible_mps2 = clamp(accel_mps2, lookup(params.edges.low_mps2, v, 0.0), lookup(params.edges.high_mps2, v, 0.0))
     command_place = put(state.command_mps2, state.command_place, possible_mps2)
@@ -277,12 +294,13 @@ def feedback_errors(
 
 @kernel
 def choose_pedal(
-    params: PidPreviewParams, pedal: float, speed_mps: float, accel_mps2: float, stopping: bool
+    params: PidPreviewParams, pedal: float, speed_mps: float, accels: tuple[float, float], stopping: bool
 ) -> tuple[float, Pedals]:
     """(pedal in use, commands): the other one where the map asks for it by the hysteresis, else the same, or its edge.
 
-    Stopping takes the brake: no throttle holds a vehicle at its stop.
+    Stopping takes the brake: no throttle holds a vehicle at its stop. accels: demanded in all, and by the plan alone.
     """
+    accel_mps2, planned_mps2 = accels
     rest_frac = params.rest_pedal_frac
     if stopping:
         pedal = BRAKE
@@ -293,6 +311,10 @@ def choose_pedal(
         pedal = THROTTLE
     command_frac = lookup(params.calibration, speed_mps, accel_mps2)
     if pedal == THROTTLE:
+        planned_frac = max(lookup(params.calibration, speed_mps, planned_mps2), rest_frac)
+        slope = SLOPE_FACTOR * lookup(params.edges.slope_frac_s2pm, speed_mps, 0.0)
+        reach_frac = slope * abs(accel_mps2 - planned_mps2)
+        command_frac = clamp(command_frac, planned_frac - reach_frac, planned_frac + reach_frac)
         return pedal, Pedals(command_frac if command_frac > rest_frac else rest_frac, rest_frac, accel_mps2)
     least_frac = rest_frac
     if params.hysteresis_mps2 > 0.0:
