@@ -80,8 +80,8 @@ def test_seeds_differ_and_a_seed_repeats(begun: list[ScoredPoint]) -> None:
     assert first == again != other
 
 
-def test_populations_are_what_a_batch_drives_at_once() -> None:
-    assert [population_size(n) for n in (1, 2, 6, 11)] == [8, 8, 16, 16]
+def test_populations_are_the_default_of_the_strategy_rounded_up() -> None:
+    assert [population_size(n) for n in (1, 2, 6, 11, 15)] == [4, 8, 12, 12, 12]
 
 
 @pytest.mark.parametrize("violation", [None, 0.0])
@@ -114,7 +114,7 @@ def test_it_goes_along_a_limit_and_not_beyond() -> None:
 def test_a_search_that_has_converged_starts_anew_from_its_best_point(begun: list[ScoredPoint]) -> None:
     """All points the same: the spread shrinks until the strategy stops, and is then what it was at the start."""
     one, spreads = min(begun, key=rank_value), []
-    for populations in (15, 20, 25, 30, 35):
+    for populations in (15, *range(25, 33)):
         told = [*begun, *[one] * (population_size(6) * populations)]
         asked = [to_unit(BOWL, values) for values in suggest_cma_points(BOWL, told, seed=1, count=64)]
         spreads.append(max(statistics.pstdev(float(unit[k]) for unit in asked) for k in range(6)))

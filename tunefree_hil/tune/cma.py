@@ -23,7 +23,7 @@ class CmaCriteria(NamedTuple):
 
     start_trials: int = 64  # trials of the other sampler: the manual sets and TPE, eight generations of a batch
     start_spread: float = 0.15  # standard deviation: two of it reach a third of the range to each side
-    population_step: int = 8  # populations are multiples of the trials that a batch drives at once
+    population_step: int = 4  # populations are multiples of it, close to the default of CMA-ES: 4 + 3 ln(parameters)
     # a violation of 20 % doubles a score; ranked behind all others, as TPE ranks them, points beyond a limit by 1 %
     # would hide from the strategy the best ones, which lie along the limits
     violation_weight: float = 5.0

@@ -185,9 +185,7 @@ def step(
     disturbance_mps2 = observe(params, state, measurement.ins.speed_mps, seen_mps2 - acting_mps2, dt_s)
     now_mps, now_m = feedback_errors(params, state, tracking, measurement.ins.speed_mps - speed_mps, dt_s)
     error_mps = demanded_mps(params, state, now_mps, now_m, dt_s)
-    kp, ki = params.kp_high, params.ki_high
-    if v <= SWITCH_MPS:
-        kp, ki = params.kp_low, params.ki_low
+    kp, ki = (params.kp_low, params.ki_low) if v <= SWITCH_MPS else (params.kp_high, params.ki_high)
     integral_mps2 = clamp(state.integral_mps2 + ki * error_mps * dt_s, -INTEGRAL_LIMIT_MPS2, INTEGRAL_LIMIT_MPS2)
     feedback_mps2 = kp * error_mps + integral_mps2
     accel_mps2 = feedback_mps2 + tracking.preview_accel_mps2 - disturbance_mps2
