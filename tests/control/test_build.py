@@ -9,10 +9,11 @@ import pytest
 
 from tunefree_hil.base import parts
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.control.build import PartNames, build, own_values
+from tunefree_hil.control.build import PartNames, build, identified_of_data_sheet, own_values
 from tunefree_hil.control.cascade import ControllerInput
 from tunefree_hil.control.contract import VehicleConstants
 from tunefree_hil.control.parameters import BASELINES, study_values
+from tunefree_hil.control.steering_map import data_sheet_map
 
 DT_S = 0.01
 MKZ = VehicleConstants()
@@ -54,6 +55,20 @@ def test_baselines_drive(kit, name):
     if "look_ahead" not in name:
         assert not any(decision.tracking.replan for decision in decisions)
         assert max(abs(decision.tracking.lateral_error_m) for decision in decisions[600:]) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("lateral", "inner"), [("lqr_preview", "mrac_robust"), ("lqr_preview", "mrac"), ("lqr", "mrac")]
+)
+def test_the_bound_of_the_steering_has_the_slip_that_the_lateral_part_knows(kit, lateral, inner):
+    names = PartNames(lateral=lateral, inner=inner)
+    values = {**study_values(), **BASELINES["mrac_on"], **own_values(names)}
+    steering = data_sheet_map(MKZ)._replace(understeer_s2pm=0.004)
+    course = kit.course(6.0, lambda t: 4.0, bend)
+    known = identified_of_data_sheet(MKZ)._replace(steering=steering)
+    params = build(values, MKZ, kit.linear_map(), course, names=names, identified=known).params
+    slip_rad = 0.004 * MKZ.lateral_accel_mps2 if lateral == "lqr_preview" else 0.0
+    assert params.limits.bound.slip_rad == params.inner.bound.slip_rad == pytest.approx(slip_rad)
 
 
 def test_every_part_drives_within_limits_and_says_the_same_twice(kit):

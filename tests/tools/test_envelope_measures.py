@@ -151,6 +151,30 @@ def test_the_answer_is_the_worse_vehicle_and_its_detail_names_what_was_beaten() 
     assert float(rows[0]["lateral_m"]) == 0.2 and rows[0]["lateral_rms_after_start"] == "2"
 
 
+def test_ratios_without_the_roads_that_the_plain_controller_does_not_drive() -> None:
+    half, unlike = ({name: share * value for name, value in METRICS.items()} for share in (0.5, 0.01))
+    row = {"outcome": "finished", "replans": 0, "score": 0.2}
+    plain = drives((0.4, 0.4, 0.4))._replace(
+        drives={
+            "kept": {**row, "metrics": METRICS},
+            "left": {**row, "metrics": METRICS, "outcome": "left_lane"},
+            "again": {**row, "metrics": METRICS, "replans": 2},
+        }
+    )
+    tuned = drives((0.1, 0.1, 0.1))._replace(
+        drives={
+            "kept": {**row, "metrics": half},
+            "left": {**row, "metrics": unlike},
+            "again": {**row, "metrics": unlike},
+        }
+    )
+    answers = tune11.VehicleAnswers({"a": plain}, {"a": plain}, [winner(1)], [tuned], [])
+    found = tune11.describe_common_roads(answers)
+    assert found.pop("roads") == 1 and found == pytest.approx(dict.fromkeys(found, 0.5)) and len(found) == 4
+    none = plain._replace(drives={"left": plain.drives["left"]})
+    assert tune11.describe_common_roads(answers._replace(plain={"a": none})) == {"roads": 0}
+
+
 def test_the_bound_keeps_the_requirements_before_it_has_a_low_score() -> None:
     bounds = [drives((0.1, 0.1, 0.1), violated=0.1, score=0.1), drives((0.1, 0.1, 0.1), score=0.16)]
     tuned = [drives((0.2, 0.2, 0.2), score=score) for score in (0.24, 0.16)]

@@ -72,3 +72,9 @@ def test_a_transient_is_none_and_two_cycles_are_enough_in_a_drive_that_ends_earl
     assert strongest_swing(columns(dying), WHEEL, DT_S).ratio < 1.0
     early = np.where(T > 0.5, 0.5 * np.sin(2.0 * math.pi * 0.8 * (T - 0.5)), 0.0)[:350]
     assert strongest_swing(columns(early), WHEEL, DT_S).ratio > 5.0
+
+
+def test_the_start_is_not_counted_but_where_a_drive_ends_early() -> None:
+    swing = np.where(T < 2.8, 0.5 * np.sin(2.0 * math.pi * 1.2 * T), 0.0)
+    assert strongest_swing(columns(swing), WHEEL, DT_S).ratio < 1.0
+    assert strongest_swing(columns(swing[:400]), WHEEL, DT_S).ratio > 5.0

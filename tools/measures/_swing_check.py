@@ -33,7 +33,7 @@ class CheckCriteria(NamedTuple):
     windows_s: tuple[float, ...] = (0.6, 0.8, 1.1, 1.5, 2.0, 2.7, 3.6, 4.8, 6.0)
     steps_a_window: int = 6
     min_cycles: float = 2.6  # in a window: three cycles whose first and last quarter may be missing
-    start_s: float = CRITERIA.start_s  # by definition the start is not counted, but for early ends
+    start_s: float = CRITERIA.start_s  # the start is not counted, except in drives that end early
     early_end_s: float = 8.0  # a shorter drive left its lane: early_cycles are enough
     early_cycles: float = 1.6  # two cycles, as above
     max_cycles: float = 4.5
@@ -145,10 +145,10 @@ def _regular_swings(record: _Record) -> Iterator[CheckedSwing]:
     lengths = sorted({min(round(window_s / dt_s), count - 2) for window_s in CHECK.windows_s})
     margin = round(CHECK.margin_s / dt_s)
     for length in lengths:
-        for start in range(first, count - length + 1, max(1, length // CHECK.steps_a_window)):
+        for start in range(0, count - length + 1, max(1, length // CHECK.steps_a_window)):
             window = record.values[start : start + length]
             limit = float(np.mean(record.limit[start : start + length]))
-            if float(np.ptp(window)) < CHECK.least_ratio * limit:
+            if start < first or float(np.ptp(window)) < CHECK.least_ratio * limit:
                 continue
             around = record.reference[max(0, start - margin) : start + length + margin]
             frequency_hz, amplitude = _regular_swing(window, around, dt_s, cycles)

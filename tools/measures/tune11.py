@@ -200,7 +200,7 @@ def median_ratio(answers: VehicleAnswers) -> float:
 
 
 def describe_common_roads(answers: VehicleAnswers) -> dict[str, Any]:
-    """The ratios over the roads alone that the best plain manual set drives to the end without a re-plan.
+    """The ratios over only those roads that the best plain manual set drives to the end without a re-plan.
 
     Where that set leaves the lane, any set that stays in it looks good; these ratios are without such roads.
     """

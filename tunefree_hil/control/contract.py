@@ -123,7 +123,7 @@ class Setup:
     """Inputs of a recipe. `values`: every parameter by name; `absent`: record fields the vehicle lacks.
 
     `steering` and `delays` are what was identified of the vehicle; the paper's parts (lqr, pid, mrac) use neither.
-    is_bound_by_map: the bound of the steering by lateral acceleration has the slip of the steering map.
+    is_bound_by_map: the bound of the steering (limits.py), also that of mrac, is that of the steering map.
     """
 
     values: Mapping[str, float]
@@ -141,7 +141,7 @@ class Recipe(NamedTuple):
     """A part that is computed at build time: make(setup) -> Block.
 
     loop_lag_s: of an inner part, the lag from the steering demand to the wheel with it; None: the actuator's own.
-    knows_steering: of a lateral part: it steers by the steering map, and so is the steering's bound.
+    knows_steering: of a lateral part: it steers by the steering map; the bound of the steering then uses the map too.
     """
 
     make: Callable[[Setup], Block]

@@ -2,8 +2,8 @@
 
 clamp to atan(a_lat L / v^2) -> low-pass -> clamp to the wheel's limit -> hold near standstill -> clamp of the rate.
 
-That bound is without side slip, as published: an understeering vehicle reaches half of a_lat with it at motorway speed,
-and leaves the lane in a bend that it could drive. A lateral part that knows the steering map adds the slip's share.
+The published bound is without side slip: the MKZ, which understeers, gets half of a_lat with it at 27 m/s, and leaves
+the lane in a bend that it could drive. With a lateral part that knows the steering map, the bound is that of the map.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ class LimitState(NamedTuple):
 
 def steer_bound_of(setup: Setup) -> SteerBound:
     """The bound of a vehicle: as published, or with the understeer of its steering map. Oversteer narrows nothing."""
-    vehicle, slip_rad = setup.vehicle, 0.0
-    if setup.is_bound_by_map:
-        slip_rad = max(steady_slip_rad(setup.steering, vehicle.lateral_accel_mps2), 0.0)
-    return SteerBound(
-        vehicle.lateral_accel_mps2, vehicle.wheelbase_m, vehicle.steer_ratio, vehicle.steer_limit_rad, slip_rad
-    )
+    vehicle, steering = setup.vehicle, setup.steering
+    accel_mps2, limit_rad = vehicle.lateral_accel_mps2, vehicle.steer_limit_rad
+    if not setup.is_bound_by_map:
+        return SteerBound(accel_mps2, vehicle.wheelbase_m, vehicle.steer_ratio, limit_rad)
+    slip_rad = max(steady_slip_rad(steering, accel_mps2), 0.0)
+    return SteerBound(accel_mps2, steering.length_m, steering.steer_ratio, limit_rad, slip_rad)
 
 
 def make(setup: Setup) -> Block:

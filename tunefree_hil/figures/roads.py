@@ -20,19 +20,20 @@ WIDTH_INCHES = 14.0
 STRETCH_ABOVE = 10.0  # a path longer than this many times its width has a separate scale for y
 TITLES = (
     *("path (m)", "speed (m/s)", "curvature (1/m)"),
-    *("lateral acceleration (m/s²)", "acceleration (m/s²)", "slope, friction, bank, wind/g (%)"),
+    *("lateral acceleration (m/s²)", "acceleration (m/s²)", "slope, bank, wind/g (%)", "friction (%)"),
 )
+LABELS = ("slope", "bank", "wind/g")  # of the panel with several lines
 
 
 def draw_roads(courses: Mapping[str, Course]) -> Figure:
-    """One row a road: path, then four signals over time."""
+    """One row a road: path, then what is asked over time, and the road."""
     figure = style.new_figure(WIDTH_INCHES, ROW_INCHES * max(len(courses), 1) + 0.5)
     grid = figure.add_gridspec(len(courses), len(TITLES))
     for row, (name, course) in enumerate(courses.items()):
         for column, (x, *lines) in enumerate(_signals(course)):
             axes = figure.add_subplot(grid[row, column])
-            for y in lines:
-                axes.plot(x, y, linewidth=1.0)
+            for label, y in zip(LABELS, lines, strict=False):
+                axes.plot(x, y, linewidth=1.0, label=label)
             axes.tick_params(labelsize=6)
             if column == 0:
                 axes.set_ylabel(name, fontsize=6)
@@ -40,6 +41,8 @@ def draw_roads(courses: Mapping[str, Course]) -> Figure:
                     axes.set_aspect("equal", adjustable="datalim")
             if row == 0:
                 axes.set_title(TITLES[column], fontsize=8)
+                if len(lines) > 1:
+                    axes.legend(fontsize=6)
     return figure
 
 
@@ -56,7 +59,8 @@ def _signals(course: Course) -> list[tuple[np.ndarray, ...]]:
         (time, speed * speed * curvature),
         (time, np.asarray(course.accel_mps2)),
         (
-            *(time, 100.0 * np.tan(course.grade_rad), 100.0 * np.asarray(course.friction_frac)),
-            *(100.0 * np.tan(course.bank_rad), 100.0 / G_MPS2 * np.asarray(course.side_wind_mps2)),
+            *(time, 100.0 * np.tan(course.grade_rad), 100.0 * np.tan(course.bank_rad)),
+            100.0 / G_MPS2 * np.asarray(course.side_wind_mps2),
         ),
+        (time, 100.0 * np.asarray(course.friction_frac)),
     ]

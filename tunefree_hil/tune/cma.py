@@ -23,7 +23,9 @@ class CmaCriteria(NamedTuple):
 
     start_trials: int = 64  # trials of the other sampler: the manual sets and TPE, eight generations of a batch
     start_spread: float = 0.15  # standard deviation: two of it reach a third of the range to each side
-    population_step: int = 4  # populations are multiples of it, close to the default of CMA-ES: 4 + 3 ln(parameters)
+    # populations are multiples of it, close to the default of CMA-ES: 4 + 3 ln(parameters). Where a batch of trials
+    # reaches beyond a population, its last points come from the strategy before the update
+    population_step: int = 4
     # a violation of 20 % doubles a score; ranked behind all others, as TPE ranks them, points beyond a limit by 1 %
     # would hide from the strategy the best ones, which lie along the limits
     violation_weight: float = 5.0
@@ -66,7 +68,7 @@ def suggest_cma_points(
     whole = len(later) // size
     for k in range(whole):
         for _ in range(size):
-            strategy.ask()  # the same use of chance as when these points were suggested
+            strategy.ask()  # a point of the history comes after as many draws at each call
         told = later[k * size : (k + 1) * size]
         strategy.tell([(to_unit(space, point.parameters), rank_value(point)) for point in told])
         if strategy.should_stop():  # it has converged: once more, from the best point

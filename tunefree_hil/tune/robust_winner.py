@@ -18,7 +18,7 @@ from tunefree_hil.tune.trial import Trial, find_best_trial, trial_order
 
 
 class DriveTotals(NamedTuple):
-    """Over all scenarios: score, and numbers of re-plans, of unfinished drives and of drives that oscillate.
+    """Over all scenarios: score, and numbers of re-plans, of unfinished drives, and of drives that oscillate.
 
     Stored under its field names.
     """
@@ -46,11 +46,12 @@ class RobustnessRank(IntEnum):
 
 
 def drive_totals(score: float, scenarios: Mapping[str, Any]) -> DriveTotals:
-    """Totals of a trial or a baseline in the nominal car, from grades as plain data."""
-    drives = scenarios.values()
-    failed = sum(drive.get("outcome", FINISHED) != FINISHED for drive in drives)
-    oscillating = sum(bool(drive.get("oscillation")) for drive in drives)
-    return DriveTotals(score, sum(int(drive.get("replans", 0) or 0) for drive in drives), failed, oscillating)
+    """Totals of a trial or a baseline in the nominal car, from grades as plain data.
+
+    Oscillations are not counted there: the requirements of the search have judged them.
+    """
+    failed = sum(drive.get("outcome", FINISHED) != FINISHED for drive in scenarios.values())
+    return DriveTotals(score, sum(int(drive.get("replans", 0) or 0) for drive in scenarios.values()), failed)
 
 
 def mean_score(trial: Trial, slower: SlowerTotals) -> float | None:
@@ -60,7 +61,7 @@ def mean_score(trial: Trial, slower: SlowerTotals) -> float | None:
 
 
 def is_robust(trial: Trial, slower: SlowerTotals) -> bool:
-    """Whether a trial drives both cars without a re-plan and without an oscillation."""
+    """Whether a trial drives both cars without a re-plan, and the slower one without an oscillation."""
     totals = slower.get(slot_key(trial.slot))
     return totals is not None and totals.is_clean and drive_totals(trial.score, trial.scenarios).is_clean
 
@@ -85,7 +86,7 @@ def _rank(trial: Trial, slower: SlowerTotals) -> tuple[RobustnessRank, float]:
 def find_open_trials(trials: Sequence[Trial], slower: SlowerTotals) -> list[Trial]:
     """Trials that may still win and must be driven in the slower car for that, the best score first.
 
-    A trial that is not clean in the nominal car cannot win, nor one that violates the requirements by more than
+    A trial that re-plans or fails in the nominal car cannot win, nor one that violates the requirements by more than
     another. Nor can one whose score is no better than the best mean of a robust trial, on the assumption that its score
     in the slower car is not better than in the nominal one.
     """

@@ -17,6 +17,7 @@ from tunefree_hil.grade.requirements.judgement import (
     judge_drives,
     measure_violation,
     not_judged_text,
+    oscillates,
     violation_text,
 )
 from tunefree_hil.grade.requirements.limits import CRITERIA, default_limits, requirement_limits
@@ -92,3 +93,12 @@ def test_a_further_road_never_lowers_the_violation(values: list[float], limit: f
     limits = {"lateral_error_peak_m": limit}
     assert measure_violation(fewer, limits) <= measure_violation(drives, limits)
     assert (measure_violation(drives, limits) == 0.0) == all(value / limit <= 1.0 for value in values)
+
+
+@pytest.mark.parametrize("name", ["steer_oscillation_rad", "pedal_alternation_per_s"])
+def test_a_drive_oscillates_beyond_the_limits_that_count(name: str) -> None:
+    default = requirement_limits(load_vehicle(ROOT / "dbc" / "mkz_bywire").limits, None)
+    values = {name: 1.2 * default[name], "lateral_error_peak_m": 9.0}
+    assert oscillates(values, default) and not oscillates(values, {**default, name: 1.3 * default[name]})
+    assert not oscillates(values, {key: limit for key, limit in default.items() if key != name})  # switched off
+    assert not oscillates({name: None, "lateral_error_peak_m": 9.0}, default)

@@ -16,6 +16,7 @@ from tunefree_hil.base.errors import PeerGone
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Driven, Job
 from tunefree_hil.config.schema import ControllerSpec
+from tunefree_hil.config.tuning.require_schema import RequireSpec
 from tunefree_hil.grade.score import ScenarioGrade, combine_scores
 from tunefree_hil.jobs.commission import report as commission_report
 from tunefree_hil.jobs.run_folder import RunFolder
@@ -192,6 +193,43 @@ def test_a_joined_controller_is_chosen_by_grade_whatever_ours_would_have_borne(
     assert (
         "not pursuit" in result.reason and not plant.jobs and result.rank_trials(journal.trials())[0] == journal.best()
     )
+
+
+class Swinging(Plant):
+    """In the slower car, beyond the edge, the wheel swings by 0.08 rad on one road, and nothing else happens."""
+
+    def _driven(self, job: Job) -> Driven:
+        p, slow = job.values["mrac.p"], job.scale["lag"] - 1.0
+        is_swinging = slow > 0.0 and p > EDGE and job.scenario.name == "other"
+        requirements = {"steer_oscillation_rad": 0.08 if is_swinging else 0.01}
+        score = 1.0 / (1.0 + 1000.0 * p) + 0.1 * slow
+        grade = ScenarioGrade(job.scenario.name, score, {}, 0, "finished", 200, requirements=requirements)
+        return Driven(grade, 200, "")
+
+
+def test_a_trial_that_oscillates_in_the_slower_car_does_not_pass(
+    bench: Bench, journal: Journal, tmp_path: Path
+) -> None:
+    result, _ = checked(bench, journal, Swinging(), tmp_path)
+    assert result.rank_trials(journal.trials())[0].parameters["mrac.p"] <= EDGE
+    words = robustness_text(robustness_data(result, journal, journal.trials()))
+    assert "oscillates in 1 scenario in the slower car" in words
+
+
+def test_a_bench_file_may_allow_the_oscillation(bench: Bench, journal: Journal, tmp_path: Path) -> None:
+    require = with_fields(bench.spec.require or RequireSpec(), steer_oscillation_rad=0.1)
+    allowed = replace(bench, spec=with_fields(bench.spec, require=require))
+    result, _ = checked(allowed, journal, Swinging(), tmp_path)
+    assert result.rank_trials(journal.trials())[0].parameters["mrac.p"] > EDGE
+
+
+def test_what_an_older_version_kept_is_driven_again(bench: Bench, journal: Journal, tmp_path: Path) -> None:
+    checked(bench, journal, Plant(), tmp_path)
+    kept = json.loads((tmp_path / FILE).read_text())
+    (tmp_path / FILE).write_text(json.dumps({**kept, "schema": "tunefree.held/1"}))
+    plant = Plant()
+    checked(bench, journal, plant, tmp_path)
+    assert plant.jobs
 
 
 def test_one_or_one_trial_leaves_nothing_to_choose(bench: Bench, journal: Journal, tmp_path: Path) -> None:

@@ -18,8 +18,9 @@ added, each with a parameter of its own, 0 for off:
   the throttle goes to rest, and the brake to the duty from which it acts: noise does not lift and press it in turns.
   The map, not the sign of the acceleration, says which pedal: coasting drag is used.
 
-Feedback moves the throttle by at most SLOPE_FACTOR times the mean slope of the map at that speed: where a learned map
-is flat, beyond its data or at the power limit, its inverse would multiply the gain of the loop.
+Feedback and observer move the throttle, for each m/s2, by at most SLOPE_FACTOR times the mean slope of the map at that
+speed. Where a learned map is flat, beyond its data, its inverse would multiply the gain of the loop. Where the vehicle
+is that weak, at its power limit, the observer finds what is missing and asks for more.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ OBSERVER_SPEED_MPS = 0.5  # slower, brake and creep hold the vehicle and the obs
 OBSERVER_FILTER_S = 0.2  # of the estimator where the feedback does without it: the observer takes its acceleration
 LEAST_FILTER_S = 0.05  # a shorter time constant of the estimator is taken for this one: it stays stable at 0.01 s ticks
 STATION_JUMP_M = 0.3  # a larger difference is a re-plan, not noise
-SLOPE_FACTOR = 1.5  # a throttle seldom is so much weaker than in the mean; below a gain margin of 2
+SLOPE_FACTOR = 1.5  # the gain of the loop is at most so much larger: less than a usual gain margin, 2
 UNBOUNDED = 1e6  # duty per m/s2; finite, as rows of a map are interpolated
 THROTTLE, BRAKE = 1.0, -1.0
 
@@ -161,7 +162,7 @@ def find_edges(calibration: CalibrationMap, rest_frac: float) -> PedalEdges:
 def throttle_slope(accels_mps2: Sequence[float], commands_frac: Sequence[float], rest_frac: float) -> float:
     """Mean slope of a row of a map, ascending: duty of the throttle per acceleration; UNBOUNDED without a throttle."""
     pressed = [(float(a), float(u)) for a, u in zip(accels_mps2, commands_frac, strict=True) if u >= rest_frac]
-    if len(pressed) < 2 or pressed[-1][0] <= pressed[0][0]:
+    if len(pressed) < 2 or pressed[-1][0] <= pressed[0][0] or pressed[-1][1] <= pressed[0][1]:
         return UNBOUNDED
     return (pressed[-1][1] - pressed[0][1]) / (pressed[-1][0] - pressed[0][0])
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from tunefree_hil.grade.requirements.limits import CRITERIA, RequirementLimits
+from tunefree_hil.grade.requirements.limits import CRITERIA, RequirementLimits, oscillation_limits
 
 GradesAsData = Mapping[str, Mapping[str, Any]]  # by road; each a ScenarioGrade.as_data
 FINISHED_OUTCOME = "finished"
@@ -73,6 +74,12 @@ class RequirementJudgement(NamedTuple):
             "not_judged": dict(self.not_judged),
             "failed": list(self.failed),
         }
+
+
+def oscillates(requirements: Mapping[str, float | None], limits: RequirementLimits) -> bool:
+    """Whether a drive with these values swings, or takes turns between the pedals, beyond one of the limits."""
+    values = ((requirements.get(name), limits.get(name, math.inf)) for name in oscillation_limits())
+    return any(value is not None and value > limit for value, limit in values)
 
 
 def judge_drives(drives: GradesAsData, limits: RequirementLimits) -> RequirementJudgement:

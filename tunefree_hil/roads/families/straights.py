@@ -1,4 +1,4 @@
-"""Straight on: at speed over changing friction, slope and bank in gusts, and with steps of speed."""
+"""Straight on: at speed over changing friction, slope and bank, and in gusts; and with steps of speed."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ WET_RAMP_S, WET_HOLD_S = 0.5, (2.0, 4.0)
 SLOPE_RAD = 0.02
 SLOPE_SHARE = 0.5  # of the longest acceleration, for the slope
 # From the crossfall that drains a straight (2.5 %) to the superelevation of a bend (6 to 8 % at most), whose run-off
-# begins on the straight before it; the pavement rotates by 0.025 rad/s at most on fast roads (road design guides).
+# begins on the straight before it. The rate is a choice: 0.06 rad in 2.4 s.
 BANK_RAD = (0.025, 0.06)
 BANK_RATE_RADPS = 0.025
 BANK_HOLD_S = (3.0, 5.0)
-# A side wind of 10 to 15 m/s on a car at speed: 1/2 rho v^2 with v of 20 to 30 m/s relative to the air, on 2.2 m2 with
-# a coefficient of side force near 1, over 1.7 t.
+# Of 1/2 rho v^2 on 2.2 m2 with a coefficient of side force near 1, over 1.7 t: 0.3 at 20 m/s relative to the air, and
+# 0.7 at 30 m/s; a little more for larger sides.
 GUST_MPS2 = (0.3, 0.8)
 GUST_S = (1.0, 2.0)
 GUSTS = (1, 2)
@@ -44,7 +44,7 @@ CRUISE_S = (1.0, 2.5)
 
 
 def build_straight(request: RoadRequest, limits: RoadLimits, chance: Random) -> RoadDraft:
-    """A constant speed over two wet patches and a gentle slope; only what disturbs the vehicle moves the wheel."""
+    """A constant speed over wet patches, a gentle slope and a bank, in gusts: only disturbances move the wheel."""
     speed, lead_s = request.speed_mps, chance.uniform(*LEAD_S)
     time = time_grid(chance.uniform(*STRAIGHT_S))
     patches = [
