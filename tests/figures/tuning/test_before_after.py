@@ -22,8 +22,9 @@ TIME_S = np.arange(0.0, 10.0, 0.01)
 
 
 def drive(label: str, size: float, **changed: Any) -> DrivePicture:
-    """Errors of `size` from START_S on, and ten times as large before."""
-    error = np.where(TIME_S < START_S, 10.0 * size, size)
+    """Errors whose RMS, as in the metrics, is `size` from START_S on, and ten times as large before."""
+    count = np.count_nonzero(TIME_S >= START_S)
+    error = np.where(TIME_S < START_S, 10.0 * size, size) * math.sqrt((count - 1) / count)
     columns = {"t_s": TIME_S, "lateral_error_m": error, "station_error_m": -2.0 * error, "speed_error_mps": 3.0 * error}
     columns |= {"cmd_steer_rad": error, "accel_mps2": error, "ref_accel_mps2": 0.0 * error}
     return DrivePicture(label, {**columns, **changed})

@@ -6,10 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from tunefree_hil.figures import style
 from tunefree_hil.figures.scenario import DEG_PER_RAD, DrivePicture, Panel, column
+from tunefree_hil.grade.metrics import rms
 from tunefree_hil.grade.requirements.limits import CRITERIA
 
 if TYPE_CHECKING:
@@ -68,12 +67,12 @@ def draw_before_after(pairs: Sequence[RoadPair]) -> Figure:
 
 
 def rms_after_start(drive: DrivePicture, name: str) -> float:
-    """Root mean square of a column from START_S on; NaN where it was not recorded."""
+    """Root mean square of a column from START_S on, as in the metrics; NaN where it was not recorded."""
     time_s, values = column(drive, "t_s"), column(drive, name)
     if time_s is None or values is None:
         return math.nan
-    late = values[(time_s >= START_S) & np.isfinite(values)]
-    return float(np.sqrt(np.mean(late * late))) if late.size else math.nan
+    late = rms(values[time_s >= START_S])
+    return math.nan if late is None else late
 
 
 def mean_errors(drives: Sequence[DrivePicture]) -> dict[str, float]:
