@@ -198,8 +198,8 @@ def ship(learned: Path, charted: Path, target: Path, made: Mapping[str, Any]) ->
         shutil.rmtree(folder, ignore_errors=True)
     part.mkdir(parents=True)
     try:
-        beside = [path for path in [charted.with_name(STEERING_MAP_FILE)] if path.is_file()]
-        for path in (learned / "model.toml", *learned.glob("*.npz"), charted, *beside):
+        steering = charted.parent.glob(STEERING_MAP_FILE)  # none where the logs do not tell it: `map` has said so
+        for path in (learned / "model.toml", *learned.glob("*.npz"), charted, *steering):
             shutil.copy(path, part / path.name)
         files = hashes_of(part)
         card = read_json(learned / CARD) | {**made, "map": map_card(charted), "files": files}

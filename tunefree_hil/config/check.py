@@ -47,6 +47,7 @@ METRICS = (
 )
 # Far beyond any drive: a larger number is a mistake, and some would overflow where a course is built.
 MOST = {"speed": 1e3, "curvature": 1e3, "grade": 1.5, "friction": 1e3, "bank": 1.5, "side_wind": 1e3}  # SI; angles rad
+PROFILES = tuple(MOST)  # of a scenario, over time
 MOST_START = {"along_m": 1e6, "lateral_m": 1e6, "heading_rad": 1e3, "speed_mps": 1e3}
 MOST_S, MOST_M = 86_400.0, 1e6
 MOST_SEED = 65535  # EPISODE carries it in 16 bits
@@ -99,7 +100,7 @@ def parse_road_set(text: str) -> RoadSetChoice:
 
 def check_scenario(spec: ScenarioSpec) -> Problems:
     """Profiles fit, nothing drives backwards, the seed fits its place on the bench channel."""
-    for name in MOST:
+    for name in PROFILES:
         profile = getattr(spec, name)
         if profile is not None:
             yield from _profile(name, profile)

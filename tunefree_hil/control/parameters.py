@@ -84,8 +84,8 @@ WIDER_BOXES: dict[str, tuple[float, float]] = {
     "lqr.q3": (1e-4, 4.0),  # low as Q1; high: 15 degrees of heading error take the front wheels to the stop
     "lqr.q4": (1e-6, 0.1),  # as Q2
     "station.kp": (0.01, 1.5),  # SIMC with a delay of 0.1 s, the shortest of a drive: 1 / (6.5 * 0.1)
-    # SIMC with a delay of 0.125 s: half of what driveline and pedals show together, which `speed.predict` takes out of
-    # the loop. With 5 the pedals of a winner took turns at 2 m/s
+    # SIMC with a delay of 0.125 s. Driveline and pedals together show 0.25 s; `speed.predict` takes a part of that out
+    # of the loop. With 5 the pedals of a winner took turns at 2 m/s
     "speed.kp_low": (0.1, 4.0),
     "speed.kp_high": (0.1, 4.0),
     "speed.ki_low": (1e-3, 1.0),  # low: no integral within a drive

@@ -15,12 +15,12 @@ import numpy as np
 from tunefree_hil.base.course import Course, Start
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import table
+from tunefree_hil.config.check import PROFILES
 from tunefree_hil.config.schema import ProfileSpec, ScenarioSpec
 
 Array = np.ndarray
 
 SPACING_M = 0.1
-PROFILES = ("speed", "curvature", "grade", "friction", "bank", "side_wind")
 PROLONGED_M = 20.0  # straight extension at both ends
 LEAST_ADVANCE_M = 1e-9  # below it a piece is standstill and adds nothing to the path
 

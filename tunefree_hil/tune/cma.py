@@ -68,7 +68,7 @@ def suggest_cma_points(
     whole = len(later) // size
     for k in range(whole):
         for _ in range(size):
-            strategy.ask()  # a point of the history comes after as many draws at each call
+            strategy.ask()  # one draw for each known point, so that every call uses chance in the same way
         told = later[k * size : (k + 1) * size]
         strategy.tell([(to_unit(space, point.parameters), rank_value(point)) for point in told])
         if strategy.should_stop():  # it has converged: once more, from the best point
