@@ -103,7 +103,7 @@ def test_no_text_refers_to_an_absent_document() -> None:
 def test_readme_and_docs_are_short() -> None:
     pages = [path for path in (ROOT / "docs").rglob("*.md") if "results" not in path.parts]
     assert documents.count_words([ROOT / "README.md"]) <= 900
-    assert documents.count_words(pages) <= 18_000
+    assert documents.count_words(pages) <= 19_800  # 18,000, and 1,800 for MPC, weights, export, sweeps, samplers
 
 
 @pytest.mark.parametrize("path", ["gap/told.py", "gap/taken_back.py", "tune/shelf/trials.py"])
