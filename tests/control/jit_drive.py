@@ -24,6 +24,7 @@ VARIANTS: dict[str, tuple[str, dict[str, float], Settings]] = {
     "shipped": ("as_shipped", {"riccati": 1.0}, Settings(lead_lag=LeadLag(1.0, 2.0, 0.5, 0.3))),
     "order 1": ("mrac_on_look_ahead", {"mrac.p": 0.03}, Settings(mrac_dead_zone=0.2)),
     "order 2": ("mrac_on", {}, Settings(mrac_order=2)),
+    "order 3": ("mrac_on", {"mrac.p": 0.003}, Settings(mrac_order=3, mrac_dead_zone=0.2)),
     "paper": ("mrac_on", {}, Settings(mrac_form="paper")),
 }
 TICKS = 1500

@@ -28,6 +28,6 @@ def say(jit: str) -> list[str]:
 @pytest.mark.compiled
 def test_same_bits_jitted_and_plain():
     plain = say("0")
-    assert len(plain) == 4
+    assert len(plain) == 5
     assert all("replans=0" not in line and "last_code=1" in line for line in plain)  # the drive has it all
     assert say("1") == plain

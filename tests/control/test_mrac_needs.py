@@ -35,7 +35,7 @@ def test_a_vehicle_that_does_not_measure_its_angle_is_refused() -> None:
 
 def test_a_dead_time_alone_is_a_lag() -> None:
     params = made(VehicleConstants(steer_dead_time_s=0.2, steer_rise_time_s=0.0))
-    assert params.x_low < 0.0 and params.r_high > 1.0, "there is room to adapt in"
+    assert params.x_low[0] < 0.0 and params.r_high > 1.0, "there is room to adapt in"
 
 
 def test_switched_off_it_needs_nothing() -> None:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.tune.sampler_cases import FAST
 from tunefree_hil.control.parameters import box32
 from tunefree_hil.tune.insight import (
     MIN_TRIALS,
@@ -18,6 +19,7 @@ from tunefree_hil.tune.insight import (
     find_edge,
     rank_correlation,
 )
+from tunefree_hil.tune.sampling import ScoredPoint, suggest_points
 from tunefree_hil.tune.space import Axis, Space, resolve_space
 from tunefree_hil.tune.study import Trial
 
@@ -52,6 +54,45 @@ def test_what_matters_comes_first() -> None:
     assert found["a"].share is not None and found["a"].share > 0.5
     assert all(one.n == 300 for one in found.values())
     assert found["b"].rank > 0.05
+
+
+@pytest.mark.parametrize("score", [0.0, 1.0])
+def test_equal_scores_have_no_shares(score: float) -> None:
+    """Nor where nine tenths of them tie for the best place."""
+    equal = [trial._replace(score=score) for trial in trials(40)]
+    found = compute_importance(SPACE, equal)
+    assert all(entry.share is None and entry.rank == 0.0 for entry in found.values())
+    mostly = [*equal[:38], *(trial._replace(score=5.0) for trial in equal[38:])]
+    assert all(entry.share is not None for entry in compute_importance(SPACE, mostly).values())
+
+
+def test_what_was_not_varied_has_no_share() -> None:
+    fixed = [trial._replace(parameters={**trial.parameters, "a": LOG.clip(0.1)}) for trial in trials(60)]
+    found = compute_importance(SPACE, fixed)
+    assert found["a"].share == 0.0 and sum(entry.share or 0.0 for entry in found.values()) == pytest.approx(1.0)
+
+
+def test_values_without_an_order_have_no_trend() -> None:
+    several = Space((LINEAR, Axis("e", 1.0, 7.0, False, (1.0, 2.0, 7.0), True), SWITCH))
+    points = [
+        trial._replace(parameters={**trial.parameters, "e": (1.0, 2.0, 7.0)[k % 3]}, score=1.0 + k % 3)
+        for k, trial in enumerate(trials(60))
+    ]
+    found = compute_importance(several, points)
+    assert found["e"].rank == 0.0 and next(iter(found)) == "e"
+
+
+@pytest.mark.parametrize("sampler", FAST)
+def test_trials_of_every_sampler_have_shares(sampler: str) -> None:
+    """What decides is in front, whatever the sampler tries most."""
+    points: list[ScoredPoint] = []
+    while len(points) < 80:
+        slots = range(len(points), len(points) + 8)
+        for values in suggest_points(SPACE, points, sampler=sampler, seed=1, slots=slots):
+            score = 0.1 + (math.log(values["a"]) + 2.0) ** 2 + values["c"]
+            points.append(ScoredPoint(values, score))
+    found = compute_importance(SPACE, [Trial(k, k, *point[:2], {}) for k, point in enumerate(points)])
+    assert set(list(found)[:2]) == {"a", "c"} and all(entry.share is not None for entry in found.values())
 
 
 def test_importance_is_a_function_of_the_trials() -> None:

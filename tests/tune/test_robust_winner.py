@@ -16,7 +16,7 @@ from tunefree_hil.tune.robust_winner import (
     find_open_trials,
     find_rejected_trials,
     is_robust,
-    mean_score,
+    mean_merit,
     rank_trials,
 )
 from tunefree_hil.tune.trial import Trial, find_best_trial
@@ -47,7 +47,7 @@ def test_a_better_grade_that_does_not_hold_is_passed_over() -> None:
     assert [one.slot for one in rank_trials(trials, slower)] == [2, 0, 3, 1]
     assert [one.slot for one in find_rejected_trials(trials, slower)] == [1, 0, 3]
     assert not is_robust(trials[1], slower) and is_robust(trials[2], slower)
-    assert mean_score(trials[2], slower) == pytest.approx(0.165)
+    assert mean_merit(trials[2], slower) == pytest.approx(0.165)
 
 
 def test_without_the_slower_car_the_best_grade_wins() -> None:
@@ -92,7 +92,7 @@ def test_whoever_is_not_driven_would_not_have_won(sets: list[tuple[float, float,
     holding = [one for one in trials if is_robust(one, whole)]
     winner = rank_trials(trials, known)[0]
     if holding:
-        assert mean_score(winner, known) == min(mean_score(one, whole) or math.inf for one in holding)
+        assert mean_merit(winner, known) == min(mean_merit(one, whole) or math.inf for one in holding)
     else:
         assert all(slot_key(one.slot) in known for one in trials if drive_totals(one.score, one.scenarios).is_clean)
     assert sorted(one.slot for one in rank_trials(trials, known)) == list(range(len(sets)))
@@ -114,3 +114,13 @@ def test_a_trial_that_oscillates_in_the_slower_car_does_not_pass() -> None:
     first, second = trial(0, 0.1), trial(1, 0.2)
     slower = {"trial 1": DriveTotals(0.1, 0, 0, 2), "trial 2": DriveTotals(0.3, 0, 0)}
     assert [one.slot for one in rank_trials([first, second], slower)] == [1, 0]
+
+
+def test_several_objectives_are_ranked_by_their_trade() -> None:
+    """The scores say the contrary."""
+    first, second = trial(0, 0.1)._replace(trade=0.9), trial(1, 0.5)._replace(trade=0.7)
+    slower = {"trial 1": DriveTotals(0.1, 0, 0, trade=1.0), "trial 2": DriveTotals(0.6, 0, 0, trade=0.8)}
+    assert find_best_trial([first, second]) == second and find_open_trials([first, second], {}) == [second, first]
+    assert rank_trials([first, second], slower) == [second, first]
+    assert mean_merit(second, slower) == pytest.approx(0.75)
+    assert find_open_trials([first, second], {"trial 2": slower["trial 2"]}) == [], "0.9 is no better than 0.75"

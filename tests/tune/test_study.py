@@ -15,8 +15,9 @@ import optuna
 import pytest
 
 from tests.tune.drive_study import FIRST, SPACE, Parameter, bowl, settings
+from tests.tune.sampler_cases import CASES, INSTALLED
 from tunefree_hil.base.errors import BenchError, InputError, PeerGone, TunefreeError
-from tunefree_hil.tune.sampling import SAMPLERS, ScoredPoint, suggest_point
+from tunefree_hil.tune.sampling import ScoredPoint, suggest_point
 from tunefree_hil.tune.space import make_space
 from tunefree_hil.tune.study import Evaluation, Study, Trial, open_study, read_study
 from tunefree_hil.tune.trial_loop import run_trials, suggest_slots
@@ -28,7 +29,7 @@ Open = Callable[..., Study]
 def begun(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, int], Path]:
     """Studies of 0 and 12 trials, to copy: making the tables takes Optuna half a second."""
     folder = tmp_path_factory.mktemp("begun")
-    paths = {(sampler, 0): folder / f"{sampler}.db" for sampler in SAMPLERS}
+    paths = {(sampler, 0): folder / f"{sampler}.db" for sampler in INSTALLED}
     for (sampler, _), path in paths.items():
         open_study(path, settings(sampler)).close()
     paths["tpe_independent", 12] = Path(shutil.copy(paths["tpe_independent", 0], folder / "later.db"))
@@ -84,7 +85,7 @@ class Troubled:
         return bowl(parameters)
 
 
-@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("sampler", CASES)
 def test_a_study_fills_its_slots(opened: Open, sampler: str) -> None:
     study = opened(sampler)
     yielded = list(run_trials(study, 14, bowl))
@@ -109,7 +110,7 @@ def test_the_file_holds_raw_score_and_its_logarithm(opened: Open) -> None:
 
 
 @pytest.mark.parametrize("trouble", [KeyboardInterrupt(), ZeroDivisionError()])
-@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("sampler", CASES)
 def test_an_interrupted_study_goes_on_where_it_was(opened: Open, sampler: str, trouble: BaseException) -> None:
     study = opened(sampler)
     for at in (0, 3, 9):

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from tests.tune.drive_study import settings
+from tests.tune.sampler_cases import CASES
 from tunefree_hil.tune.study import Trial, open_study, read_study
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,7 +50,7 @@ def failures(path: Path) -> list[Trial]:
 
 def finish(path: Path, sampler: str) -> None:
     process = start(path, sampler, sleep_s=0.0)
-    _, words = process.communicate(timeout=60)
+    _, words = process.communicate(timeout=240)  # torch takes seconds to import
     assert process.returncode == 0, words
 
 
@@ -71,12 +72,14 @@ def kill_after(process: subprocess.Popen[str], word: str, times: int, rest_s: fl
     assert process.returncode == -signal.SIGKILL
 
 
-@pytest.mark.parametrize("sampler", ["tpe_independent", "tpe_relative"])
+@pytest.mark.timeout(600)  # five processes, each of which imports torch for a Gaussian process
+@pytest.mark.parametrize("sampler", CASES)
 def test_a_study_killed_and_resumed_gives_the_same_trials(tmp_path: Path, sampler: str) -> None:
     finish(tmp_path / "whole.db", sampler)
     chance = np.random.default_rng([7, len(sampler)])
     cut = tmp_path / "cut.db"
-    for _ in range(3):
+    kill_after(start(cut, sampler, sleep_s=2.0), "evaluating", 2)  # in an evaluation, however busy the machine is
+    for _ in range(2):
         times, rest_s = int(chance.integers(1, 4)), float(chance.uniform(0.0, SLEEP_S))
         kill_after(start(cut, sampler), "filled", times, rest_s)
     assert len(facts(cut)) < TRIALS

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.tune.drive_study import FIRST, SPACE, bowl, settings
-from tunefree_hil.tune.sampling import SAMPLERS
+from tests.tune.sampler_cases import CASES
 from tunefree_hil.tune.trial import Evaluation, Trial, find_best_trial
 from tunefree_hil.tune.trial_loop import find_next_slots, suggest_slots
 
@@ -28,7 +28,7 @@ def course(sampler: str, trials: int) -> list[Trial]:
     return done
 
 
-@pytest.mark.parametrize("sampler", SAMPLERS)
+@pytest.mark.parametrize("sampler", CASES)
 def test_a_slot_is_the_same_whatever_of_its_generation_is_missing(sampler: str) -> None:
     whole = course(sampler, 16)
     asked = settings(sampler)._replace(in_flight=SIZE)

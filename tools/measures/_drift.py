@@ -48,7 +48,7 @@ def read_gains(inner: Any) -> tuple[float, float]:
     """(gain on the angle, gain on the command) in the state of either law."""
     if hasattr(inner, "angle_gain"):  # mrac_robust.py
         return float(inner.angle_gain), float(inner.command_gain)
-    return float(inner.gains.x1), float(inner.gains.r)
+    return float(inner.gains[0]), float(inner.command_gain)
 
 
 def drift(bench: Bench, model: Path, values: Mapping[str, float], minutes: int) -> dict[str, Any]:

@@ -129,6 +129,8 @@ def settings_of(bench: Bench) -> Settings:
     return Settings(
         lane_half_width_m=bench.weights.lane_half_width_m,
         divergence_heading_rad=bench.weights.divergence_heading_rad,
+        mrac_form=bench.spec.controller.mrac_form,
+        mrac_order=bench.spec.controller.mrac_order,
         mrac_dead_zone=bench.spec.controller.mrac_dead_zone,
     )
 
@@ -156,10 +158,12 @@ class ControllerFor:
     """(scenario, parameters by index) -> Assignment. Gain tables of the last parameters and path tables are kept.
 
     own: parameters of the parts beyond docs/reference/controller.md, announced in this order.
+    is_realtime: for drives at the pace of wall time.
     """
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench: Bench, *, is_realtime: bool = False) -> None:
         self.bench = bench
+        self.is_realtime = is_realtime
         self.constants = constants_of(bench.vehicle)
         self.calibration = calibration_of(bench)
         self.settings = settings_of(bench)
@@ -194,20 +198,27 @@ class ControllerFor:
             pedal_preview_s=built.pedal_preview_s,
         )
         params = block.params._replace(follower=follower)
+        if hasattr(params.lateral, "path"):
+            params = params._replace(lateral=params.lateral._replace(path=follower.path))
         return Assignment(block._replace(params=params), course.ticks, self.bench.dt_s, self.faults)
 
     def _build(self, values: dict[str, float], course: Course) -> Block:
-        return build(
-            values,
-            self.constants,
-            self.calibration,
-            course,
-            dt_s=self.bench.dt_s,
-            settings=self.settings,
-            names=self.parts,
-            absent=self.bench.vehicle.absent,
-            identified=self.identified,
-        )
+        try:
+            return build(
+                values,
+                self.constants,
+                self.calibration,
+                course,
+                dt_s=self.bench.dt_s,
+                settings=self.settings,
+                names=self.parts,
+                absent=self.bench.vehicle.absent,
+                identified=self.identified,
+                is_realtime=self.is_realtime,
+            )
+        except InputError as error:
+            error.file = error.file or self.bench.file
+            raise
 
 
 def _make_room(cache: dict[Any, Any]) -> None:

@@ -18,8 +18,10 @@ from tunefree_hil.config.load import load_bench, load_model, load_scenario, load
 from tunefree_hil.config.schema import BenchSpec, ModelSpec, ScenarioSpec, VehicleSpec, WeightsSpec, with_scenarios
 from tunefree_hil.episode.feasible import limits_of, require_feasible
 from tunefree_hil.episode.scenario import build_course
-from tunefree_hil.roads import held_out_roads, search_roads, verify_roads
+from tunefree_hil.roads import held_out_roads, road_set, search_roads, verify_roads
 from tunefree_hil.roads.drive_ability import DriveAbility, ability_from_map
+
+KEPT_COURSES = 1024  # 0.25 MB for a drive of 20 s; more than a search has, and sweeps over more roads pass through
 
 
 @dataclass(frozen=True)
@@ -43,12 +45,15 @@ class Bench:
         return self.spec.path
 
     def course(self, scenario: ScenarioSpec) -> Course:
-        """The scenario's course, built once. Raises InputError where the vehicle cannot drive it."""
-        if scenario.hash not in self.courses:
+        """The scenario's course, cached. Raises InputError where the vehicle cannot drive it."""
+        course = self.courses.get(scenario.hash)
+        if course is None:
             course = build_course(scenario, self.dt_s)
             require_feasible(scenario, course, limits_of(self.vehicle))
+            for old in list(self.courses)[: 1 - KEPT_COURSES]:  # a copy, because another thread may add one meanwhile
+                self.courses.pop(old, None)
             self.courses[scenario.hash] = course
-        return self.courses[scenario.hash]
+        return course
 
 
 def load(path: Path | str) -> Bench:
@@ -58,7 +63,7 @@ def load(path: Path | str) -> Bench:
     names = dict.fromkeys([*spec.scenarios, *spec.verify_scenarios])
     scenarios = {name: load_scenario(name, spec.path) for name in names}
     if spec.roads is not None:
-        drive = _drive_of(spec, vehicle)
+        drive = drive_ability_of(spec, vehicle)
         searched, verified = search_roads(vehicle, spec.roads, drive), verify_roads(vehicle, spec.roads, drive)
         scenarios |= {road.name: road for road in searched + verified}
         spec = with_scenarios(
@@ -71,7 +76,7 @@ def load(path: Path | str) -> Bench:
     return Bench(spec, vehicle, Codec(vehicle), load_weights(spec.weights, spec.path), scenarios, dt_s)
 
 
-def _drive_of(spec: BenchSpec, vehicle: VehicleSpec) -> DriveAbility | None:
+def drive_ability_of(spec: BenchSpec, vehicle: VehicleSpec) -> DriveAbility | None:
     """What the drive gives, from the open-loop map of the model that is tuned on; None where it has no map."""
     path = Path(load_model(spec.model, spec.path).folder) / MAP_FILE
     if not path.is_file():
@@ -84,7 +89,12 @@ def held_out_roads_of(bench: Bench, text: str) -> list[ScenarioSpec]:
     """The roads of a set, such as 'families:10', that neither the search nor the verification of a bench drives."""
     spec = bench.spec
     seed = spec.seed if spec.roads is None else spec.roads.seed
-    return held_out_roads(bench.vehicle, text, seed, _drive_of(spec, bench.vehicle))
+    return held_out_roads(bench.vehicle, text, seed, drive_ability_of(spec, bench.vehicle))
+
+
+def fresh_roads_of(bench: Bench, name: str, count: int, seed: int) -> list[ScenarioSpec]:
+    """The roads of a set for the vehicle of a bench, with a seed of the caller's."""
+    return road_set(bench.vehicle, name, count, seed, drive=drive_ability_of(bench.spec, bench.vehicle))
 
 
 def whole_vehicle(name: Path | str, near: Path | str | None = None) -> VehicleSpec:

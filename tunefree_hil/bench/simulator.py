@@ -38,7 +38,7 @@ from tunefree_hil.batch.episode import (
 from tunefree_hil.bench.controller import ControllerFor, needed_messages
 from tunefree_hil.bench.load import Bench, model_of
 from tunefree_hil.bench.scaling import scaled
-from tunefree_hil.bench.user_kernels import list_user_kernels, run_kernel
+from tunefree_hil.bench.user_kernels import list_user_kernels, require_kernel_parts, run_kernel
 from tunefree_hil.bench.vehicle import VehicleFor
 from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.bus.dbc.codec import Codec
@@ -54,6 +54,7 @@ from tunefree_hil.nodes.handshake import STAGES, Stage, limits_of
 from tunefree_hil.nodes.measurement_decoder import MeasurementDecoder
 
 KEPT_VEHICLES = 64  # the noise of a scenario each: 0.4 MB for a drive of a minute
+KEPT_ROWS = 8  # lengths of drives a thread: 0.9 MB for a drive of 20 s
 
 
 class Job(NamedTuple):
@@ -109,6 +110,7 @@ class Simulator:
         self.extra_effects = tuple(extra_effects)
         self._require_effects()
         self._require_no_faults()
+        require_kernel_parts(self.bench)
         self._controllers = ControllerFor(self.bench)
         self._vehicle_makers: dict[Any, VehicleFor] = {}
         self._vehicles: dict[Any, Vehicle] = {}
@@ -153,6 +155,8 @@ class Simulator:
     def _rows(self, ticks: int) -> Any:
         cache = self._own.__dict__.setdefault("rows", {})
         if ticks not in cache:
+            if len(cache) >= KEPT_ROWS:
+                cache.pop(next(iter(cache)))
             cache[ticks] = buffer(WIDTH * ticks, NAN)
         return cache[ticks]
 

@@ -10,6 +10,7 @@ from tunefree_hil.base.kernel import compiler_errors
 from tunefree_hil.bench.load import Bench
 from tunefree_hil.bench.user_parts import part_names
 from tunefree_hil.config.schema import ModelSpec
+from tunefree_hil.control.build import load_parts
 
 
 class UserKernel(NamedTuple):
@@ -25,6 +26,20 @@ def list_user_kernels(bench: Bench, model: ModelSpec) -> list[UserKernel]:
     plant = UserKernel(model.plant.kind, f"{model.folder}/model.toml", "plant.kind")
     parts = [UserKernel(name, bench.file, f"controller.{key}") for key, name in part_names(bench)._asdict().items()]
     return [kernel for kernel in (plant, *parts) if ":" in kernel.name]
+
+
+def require_kernel_parts(bench: Bench) -> None:
+    """Raise InputError for a part of the controller that cannot be compiled."""
+    names = part_names(bench)
+    for (key, name), part in zip(names._asdict().items(), load_parts(names), strict=True):
+        if not getattr(part, "is_kernel", True):
+            raise InputError(
+                f"{name} is not compiled, so the batch does not drive it",
+                code="not_in_batch",
+                file=bench.file,
+                key=f"controller.{key}",
+                hint="drive it over the bus: leave out --backend batch",
+            )
 
 
 def run_kernel(kernel: Callable[..., Any], args: tuple[Any, ...], user_kernels: Sequence[UserKernel]) -> Any:

@@ -76,6 +76,7 @@ class ErrorCode(IntEnum):
     STOPPED = 11, "the episode was stopped by request"
     FOREIGN_COMMAND = 12, "another node sends the vehicle's command ids"
     INTERNAL = 13, "a process failed; what it printed says why"
+    NO_SOLUTION = 14, "the controller's optimiser found no plan for too long"
     CONTROLLER_OWN = 1000, "the controller's own error; what it printed says which"
 
     @classmethod

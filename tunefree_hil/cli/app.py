@@ -7,7 +7,21 @@ from typing import Annotated
 import typer
 
 from tunefree_hil import __version__
-from tunefree_hil.cli.commands import bench, calibrate, collect, commission, data, gap, grade, learn, map, run
+from tunefree_hil.cli.commands import (
+    bench,
+    calibrate,
+    collect,
+    commission,
+    data,
+    export,
+    gap,
+    grade,
+    learn,
+    map,
+    robustness,
+    run,
+    weights,
+)
 from tunefree_hil.cli.overview import overview
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -30,12 +44,15 @@ for _command in (run.drive, run.tune, run.verify, run.replay):
     app.command()(_command)
 for _command in (grade.grade, grade.compare, grade.explain):
     app.command()(_command)
+app.command()(robustness.robustness)
 app.command()(collect.collect)
 app.command()(calibrate.calibrate)
 app.command()(learn.learn)
 app.command("map")(map.map_logs)
 app.command()(commission.commission)
 app.command()(gap.gap)
+app.command()(export.export)
+app.command()(weights.weights)
 for _command in (bench.hub, bench.ecu, bench.controller, collect.collector):
     app.command()(_command)
 for _command in (data.scenarios, data.doctor):

@@ -206,6 +206,8 @@ class ControllerSpec(Spec, frozen=True, kw_only=True):
     inner: str = "mrac"
     riccati: Literal["converged", "apollo150"] = "converged"
     look_ahead_m: float = 0.0
+    mrac_order: Literal[1, 2, 3, 4] = 1  # of the reference model (control/mrac_model.py)
+    mrac_form: Literal["apollo", "paper"] = "apollo"  # the shipped law, or eq. 6 alone: no bounds, clamp or dead zone
     mrac_dead_zone: float = 0.5  # percent of the steering limit within which MRAC does not adapt; 0: as published
     calibration: str = ""  # another calibration.npz than the model's
     steering_map: str | None = None  # a steering_map.toml, or DATA_SHEET_STEERING; None or '': the model's
@@ -226,11 +228,25 @@ class TuneSpec(Spec, frozen=True, kw_only=True):
     set: Literal["", "mrac", "lateral", "complete"] = ""
     parameters: list[ParameterSpec] = field(default_factory=list)
     trials: int = 40
-    sampler: Literal["tpe_independent", "tpe_relative", "tpe_cma", "random"] = "tpe_independent"
+    sampler: Literal[
+        "auto",
+        "gp_ei",
+        "gp_ucb",
+        "gp_me",
+        "tpe_independent",
+        "tpe_relative",
+        "cma",
+        "tpe_cma",
+        "nsga",
+        "qmc",
+        "random",
+    ] = "tpe_independent"
+    kappa_w: float = 2.0  # weight of the uncertainty for gp_ucb (eq. 8); source: tune/sampling/records.py
     backend: Literal["bus", "batch"] = "bus"  # of the trials; the best ones of a batch are confirmed over the bus
     in_flight: int = 0  # trials asked together; 0: 8 in a batch, 1 over the bus
     box: Literal["", "default", "paper"] = ""  # '': default in a bench file with [require], else paper
     starts: Literal["first", "manual"] = "first"  # the first trials: one manual set, or all
+    objectives: list[Literal["tracking", "comfort"]] = field(default_factory=list)  # empty: the score
     slower: float = 1.5  # the winner drives calmly with actuators so many times slower too; 1: by grade alone
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from tunefree_hil.base import parts
@@ -71,15 +72,16 @@ def own_values(names: PartNames) -> dict[str, float]:
     """The tunables of the parts beyond docs/reference/controller.md, in order (PARAM indices from 16 on):
     name -> value.
 
-    The value for a plain Block is that of its params, for a Recipe the middle of the box.
+    The value for a plain Block is that of its params, for a Recipe its default, else the middle of the box.
     """
     values: dict[str, float] = {}
     for part in load_parts(names):
-        params = getattr(part, "params", None)
+        params, defaults = getattr(part, "params", None), getattr(part, "defaults", {})
         for tunable in part.tunables:
             if tunable.name not in BY_NAME:
                 field = tunable.name.rpartition(".")[2]
-                values.setdefault(tunable.name, float(getattr(params, field, middle_of(tunable))))
+                without_params = defaults.get(tunable.name, middle_of(tunable))
+                values.setdefault(tunable.name, float(getattr(params, field, without_params)))
     return values
 
 
@@ -95,11 +97,13 @@ def build(
     rules: ReplanRules | None = None,
     absent: Iterable[str] = (),
     identified: Identified | None = None,
+    is_realtime: bool = False,
 ) -> Block:
     """The controller for one drive: x = cascade.ControllerInput -> cascade.Decision.
 
     `parameters` must have all names of docs/reference/controller.md and of the user, else InputError. `absent`: record
     fields that the vehicle does not have, as 'report.speed_mps'. `identified`: None takes the data sheet's.
+    `is_realtime`: see Setup.
     """
     names = names or PartNames()
     settings = settings or Settings()
@@ -107,20 +111,33 @@ def build(
     identified = identified or identified_of_data_sheet(vehicle)
     lateral_part, longitudinal_part, inner_part = load_parts(names)
     by_map = getattr(lateral_part, "knows_steering", False)
-    setup = Setup(values, vehicle, calibration, settings, dt_s, frozenset(absent), *identified, by_map)
+    setup = Setup(values, vehicle, calibration, settings, dt_s, frozenset(absent), *identified, by_map, is_realtime)
     inner = bind(inner_part, setup)
     setup = with_loop_lag(setup, inner_part)
-    return cascade.assemble(
-        make_follower(
-            course,
-            vehicle.rear_axle_m,
-            values["look_ahead_m"],
-            rules,
-            preview_times(values, setup.delays, settings.cutoff_hz),
-        ),
+    preview = preview_times(values, setup.delays, settings.cutoff_hz)
+    follower = make_follower(course, vehicle.rear_axle_m, values["look_ahead_m"], rules, preview)
+    setup = replace(setup, path=follower.params.path)
+    controller = cascade.assemble(
+        follower,
         bind(lateral_part, setup),
         bind(longitudinal_part, setup),
         inner,
         limits.make(setup),
         cascade.make_guard(vehicle, settings, setup.absent),
     )
+    return _with_failure_stop(controller, (lateral_part, longitudinal_part))
+
+
+def _with_failure_stop(controller: Block, outer_parts: tuple[Any, Any]) -> Block:
+    """The controller with a stop where an outer part can fail, else itself."""
+    lateral, longitudinal = (getattr(part, "has_failed", None) for part in outer_parts)
+    if lateral is None and longitudinal is None:
+        return controller
+
+    def has_failed(params: cascade.CascadeParams, state: cascade.CascadeState) -> bool:
+        return bool(
+            (lateral is not None and lateral(params.lateral, state.lateral))
+            or (longitudinal is not None and longitudinal(params.longitudinal, state.longitudinal))
+        )
+
+    return cascade.with_failure_stop(controller, has_failed)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.course import Tracking
@@ -15,6 +16,7 @@ from tunefree_hil.control.contract import Pedals, Settings, VehicleConstants, ch
 
 ERROR_DIVERGED = 1.0  # a number is not finite, or |heading error to the path| exceeds its bound
 ERROR_LEFT_LANE = 2.0  # |lateral error to the original path| exceeds half the lane
+ERROR_NO_SOLUTION = 14.0  # a part that optimises was without a solution for too long
 FIRST_FRAMES_S = 0.2  # longest time without a needed value (Apollo: 20 missed periods of 10 ms)
 STOP_BRAKE_FRAC = 0.5  # brake duty of an emergency stop, as Apollo ships it
 
@@ -34,7 +36,7 @@ class Decision(NamedTuple):
     steer_demand_rad: float  # of the lateral part, before inner loop and limits
     accel_cmd_mps2: float
     inner_status: float
-    error_code: float  # 0, ERROR_DIVERGED, ERROR_LEFT_LANE
+    error_code: float  # 0, ERROR_DIVERGED, ERROR_LEFT_LANE, ERROR_NO_SOLUTION
 
 
 class Guard(NamedTuple):
@@ -140,6 +142,24 @@ def assemble(follower: Block, lateral: Block, longitudinal: Block, inner: Block,
 
     params = CascadeParams(follower.params, lateral.params, longitudinal.params, inner.params, limits.params, guard)
     return Block(init, step, params, lateral.tunables + longitudinal.tunables + inner.tunables)
+
+
+def with_failure_stop(block: Block, has_failed: Callable[[CascadeParams, CascadeState], bool]) -> Block:
+    """The controller that also stops the vehicle, with ERROR_NO_SOLUTION, when a part of it has failed.
+
+    Not a kernel: parts that can fail are not compiled.
+    """
+
+    def step(
+        params: CascadeParams, state: CascadeState, x: ControllerInput, dt_s: float
+    ) -> tuple[CascadeState, Decision]:
+        new_state, decision = block.step(params, state, x, dt_s)
+        if decision.error_code == 0.0 and has_failed(params, new_state):
+            stopped = stop(params.guard, decision.tracking, state.last_steer_rad)
+            return new_state, stopped._replace(error_code=ERROR_NO_SOLUTION)
+        return new_state, decision
+
+    return block._replace(step=step)
 
 
 @kernel

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.contracts import Block, Tunable
@@ -91,7 +92,7 @@ class Settings(NamedTuple):
     lane_half_width_m: float = 2.0
     divergence_heading_rad: float = 1.5707963267948966
     mrac_form: str = "apollo"  # or "paper": eq. 5 and 6 only
-    mrac_order: int = 1
+    mrac_order: int = 1  # of the reference model: 1 to 4 (control/mrac_model.py)
     mrac_natural_radps: float = 10.0  # reference model of order 2
     mrac_damping: float = 0.9
     mrac_anti_windup: float = 1e-4
@@ -124,6 +125,8 @@ class Setup:
 
     `steering` and `delays` are what was identified of the vehicle; the paper's parts (lqr, pid, mrac) use neither.
     is_bound_by_map: the bound of the steering (limits.py), also that of mrac, is that of the steering map.
+    is_realtime: the drive is at the pace of wall time, so that a part may limit its own computing time.
+    path: of the first drive; a part that keeps it has it in a field `path` of its params, which later drives replace.
     """
 
     values: Mapping[str, float]
@@ -135,6 +138,8 @@ class Setup:
     steering: Any = None  # control.steering_map.SteeringMap
     delays: LoopDelays = NO_DELAYS
     is_bound_by_map: bool = False
+    is_realtime: bool = False
+    path: Any = None  # control.path.Path
 
 
 class Recipe(NamedTuple):
@@ -142,12 +147,18 @@ class Recipe(NamedTuple):
 
     loop_lag_s: of an inner part, the lag from the steering demand to the wheel with it; None: the actuator's own.
     knows_steering: of a lateral part: it steers by the steering map; the bound of the steering then uses the map too.
+    defaults: values of its own tunables by name; of those that are not in it, the middle of the box.
+    has_failed: (params, state) of the part -> whether it cannot control the vehicle any more (cascade.py).
+    is_kernel: its step can be compiled for the batch.
     """
 
     make: Callable[[Setup], Block]
     tunables: tuple[Tunable, ...] = ()
     loop_lag_s: Callable[[Setup], float] | None = None
     knows_steering: bool = False
+    defaults: Mapping[str, float] = MappingProxyType({})
+    has_failed: Callable[[Any, Any], bool] | None = None
+    is_kernel: bool = True
 
 
 def chassis_speed_of(absent: Collection[str]) -> float:

@@ -29,3 +29,17 @@ def require_needs(setup: Setup, tau_s: float) -> None:
             hint="write [latency.steer] with dead_time_s and rise_time_s (data sheet, or a step that you measured) into"
             f" vehicle.toml{WITHOUT}",
         )
+
+
+def require_first_order(setup: Setup) -> None:
+    """Raise InputError for settings that only the plain law has: another order than 1, and the paper's form."""
+    settings = setup.settings
+    if settings.mrac_order == 1 and settings.mrac_form == "apollo":
+        return
+    key = "controller.mrac_order" if settings.mrac_order != 1 else "controller.mrac_form"
+    raise InputError(
+        f"mrac_robust has neither mrac_order {settings.mrac_order} nor mrac_form '{settings.mrac_form}'",
+        code="bad_mrac",
+        key=key,
+        hint="leave both keys out, or take inner = 'mrac'",
+    )

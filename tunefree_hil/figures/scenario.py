@@ -56,22 +56,28 @@ PANELS = (
 )
 
 
-def draw_scenario(name: str, drives: Sequence[DrivePicture]) -> Figure:
-    """The path at the left, four signals over time at the right; triangles are re-plans, crosses early ends."""
-    figure = style.new_figure(13.0, 8.0)
-    grid = figure.add_gridspec(len(PANELS), 2, width_ratios=(1.0, 1.25))
+def draw_scenario(
+    name: str, drives: Sequence[DrivePicture], panels: Sequence[Panel] = PANELS, sentence: str = ""
+) -> Figure:
+    """The path at the left, signals over time at the right; triangles are re-plans, crosses early ends.
+
+    Args:
+        sentence: Of the title; '' for the peaks of the lateral error.
+    """
+    figure = style.new_figure(13.0, 2.0 * max(len(panels), 4))
+    grid = figure.add_gridspec(len(panels), 2, width_ratios=(1.0, 1.25))
     series = style.looks([drive.label for drive in drives])
     path = figure.add_subplot(grid[:, 0])
     _draw_path(path, drives, series)
     style.legend_below(figure, path, 3)
     first: Axes | None = None
-    for row, panel in enumerate(PANELS):
+    for row, panel in enumerate(panels):
         axes = figure.add_subplot(grid[row, 1], sharex=first)
         first = first or axes
         _draw_panel(axes, panel, drives, series)
-        style.dress(axes, "time (s)" if row == len(PANELS) - 1 else "", panel.label)
-        axes.tick_params(labelbottom=row == len(PANELS) - 1)
-    style.headline(figure, f"{name}: {_sentence(drives)}")
+        style.dress(axes, "time (s)" if row == len(panels) - 1 else "", panel.label)
+        axes.tick_params(labelbottom=row == len(panels) - 1)
+    style.headline(figure, f"{name}: {sentence or _sentence(drives)}")
     return figure
 
 

@@ -36,7 +36,7 @@ from tunefree_hil.grade.requirements.measure import RequirementValues, measure_r
 FINISHED = "finished"
 DIVERGED = "diverged"
 LEFT_LANE = "left_lane"
-CONTROL_ERRORS = ("control_error", "controller_own")  # errors caused by the controller
+CONTROL_ERRORS = ("control_error", "controller_own", "no_solution")  # errors caused by the controller
 GRADED_ENDS = ("", DIVERGED, LEFT_LANE, *CONTROL_ERRORS)  # ends caused by the parameters; all others by the bench
 PEDAL_ALTERNATION = "pedal_alternation"
 SCORE_METRICS = (*METRICS, PEDAL_ALTERNATION)  # metrics that weights may name

@@ -16,5 +16,9 @@ def controller(bench: Path, link: NodeLink) -> Iterator[Event]:
     from tunefree_hil.nodes.node import Announcement
 
     yield from serve_controller(
-        bench, link, "controller", ControllerFor, lambda parts: Announcement(OURS, list(part_values(parts)))
+        bench,
+        link,
+        "controller",
+        lambda parts: ControllerFor(parts, is_realtime=link.realtime),
+        lambda parts: Announcement(OURS, list(part_values(parts))),
     )

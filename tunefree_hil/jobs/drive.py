@@ -29,7 +29,7 @@ from tunefree_hil.jobs.identity import compute_identity, resolved_toml
 from tunefree_hil.jobs.learn.report_text import describe_model, describe_outside, measure_outside, warn_of_outside
 from tunefree_hil.jobs.options.records import DriveOptions
 from tunefree_hil.jobs.run_folder import JOINED, RunFolder, write_text
-from tunefree_hil.jobs.running.episode_results import EpisodeResult, reception_warnings
+from tunefree_hil.jobs.running.episode_results import EpisodeResult, plan_warnings, reception_warnings
 from tunefree_hil.jobs.running.foreign import joined_controller_name, make_launch, with_controller_command
 from tunefree_hil.jobs.running.lateness import judge_realtime
 from tunefree_hil.jobs.running.node_links import resolve_vehicle_bus
@@ -112,7 +112,8 @@ def _report_scenario(
     eta_s = rest_s / pace.get("speed_x", 1.0)
     data = {"label": "scenario", "done": i + 1, "total": len(resolved.scenarios), "eta_s": eta_s, **pace}
     yield Event("progress", _score_line(name, episode), data)
-    yield from (Event("warning", f"{name}: {text}") for text in reception_warnings(run.episode(i)))
+    troubles = [*reception_warnings(run.episode(i)), *plan_warnings(run.episode(i))]
+    yield from (Event("warning", f"{name}: {text}") for text in troubles)
     text = warn_of_outside(bench, resolved.model, name, episode.recording)
     yield from [Event("warning", text)] * bool(text)
 

@@ -18,6 +18,7 @@ from tunefree_hil.bus.dbc.codec import Codec
 from tunefree_hil.bus.dbc.message_map import MessageMap
 from tunefree_hil.bus.recording.frame_writer import FrameWriter
 from tunefree_hil.control.cascade import ControllerInput
+from tunefree_hil.control.mpc.plan import plan_failure_text, solve_counts
 from tunefree_hil.nodes.exchange import Exchange
 from tunefree_hil.nodes.faults import FaultFilter, ScriptedFault
 from tunefree_hil.nodes.handshake import Handshake, Stage, limits_of
@@ -139,9 +140,13 @@ class ControllerPart:
     def _save(self) -> None:
         """Times and counts of the episode, and a summary of faulty frames."""
         reception = self.decoder.reception
-        self.times.save("controller", reception.troubles())
+        counts = solve_counts(self._state)
+        self.times.save("controller", reception.troubles(), counts)
         if words := reception.summary():
             self.print_line(f"controller: received: {words}")
+        for name, row in counts.items():
+            if row.failed:
+                self.print_line(f"controller: {plan_failure_text(name, row)}")
 
     def _fail(self, k: int, code: bc.ErrorCode, why: str) -> bc.Status:
         self._failed = int(code)

@@ -26,8 +26,19 @@ class CycleTimes:
         self.late_s.append(late_s)
         self.control_s.append(control_s)
 
-    def save(self, role: str, counts_by_message: Mapping[str, Sequence[int]] | None = None) -> None:
-        """Write under a temporary name, then rename. Counts (nodes/reception.py), as `heard_NAME`."""
+    def save(
+        self,
+        role: str,
+        counts_by_message: Mapping[str, Sequence[int]] | None = None,
+        plan_counts: Mapping[str, Sequence[int]] | None = None,
+    ) -> None:
+        """Write under a temporary name, then rename.
+
+        Args:
+            role: Of the node.
+            counts_by_message: See nodes/reception.py, as `heard_NAME`.
+            plan_counts: Of the controller's optimisers by part (control/mpc/plan.py), as `plans_PART`.
+        """
         if self.folder is None:
             return
         path = self.folder / f"timing-{role}.npz"
@@ -35,5 +46,6 @@ class CycleTimes:
         with part.open("wb") as file:
             times = {"late_s": np.array(self.late_s), "control_time_s": np.array(self.control_s)}
             counts = {f"heard_{name}": np.array(row) for name, row in (counts_by_message or {}).items()}
-            np.savez(file, allow_pickle=False, **times, **counts)
+            plans = {f"plans_{name}": np.array(row) for name, row in (plan_counts or {}).items()}
+            np.savez(file, allow_pickle=False, **times, **counts, **plans)
         os.replace(part, path)

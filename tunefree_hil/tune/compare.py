@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.tune.study import Baseline
+from tunefree_hil.tune.trial import Baseline
 
 
 class BestBaseline(NamedTuple):

@@ -192,18 +192,22 @@ def nominal_score(score: float, scenarios: Mapping[str, Mapping[str, Any]]) -> f
 
 
 def find_near_equal(ranked: Sequence[Trial], criteria: HeldOutCriteria = HELD_OUT) -> list[Trial]:
-    """The first trial of a ranking, and those whose score is nearly as good and whose violation is no larger."""
+    """The first trial of a ranking, and those whose merit is nearly as good and whose violation is no larger."""
     if not ranked:
         return []
     best = ranked[0]
     # A share of the nominal score: a car that every set fails with adds the same large number to all ensemble scores.
-    limit = best.score + criteria.near_equal_share * nominal_score(best.score, best.scenarios)
-    near = [trial for trial in ranked if trial.score <= limit and trial.violation <= best.violation]
+    unit = nominal_score(best.score, best.scenarios) if best.trade is None else best.trade
+    limit = best.merit + criteria.near_equal_share * unit
+    near = [trial for trial in ranked if trial.merit <= limit and trial.violation <= best.violation]
     return near[: criteria.max_trials]
 
 
 class HeldOutScore(NamedTuple):
-    """What a trial came to on held-out roads; smaller is better. Stored under its field names."""
+    """What a trial came to on held-out roads; smaller is better. Stored under its field names.
+
+    score: In a study of several objectives their trade.
+    """
 
     violation: float
     score: float

@@ -16,14 +16,18 @@ from tunefree_hil.tune.space import Axis, Space
 from tunefree_hil.tune.study import Trial
 
 MIN_TRIALS = 20  # with fewer trials an importance is random
+BEST_SHARE = 0.1  # of the trials, which are compared with all
+LARGEST_SWITCH = 2  # values without an order that have a trend all the same
 EDGE_SHARE = 0.02  # of the range, in the scale of the search
 
 
 class Importance(NamedTuple):
     """Importance of one parameter, over n trials. Stored under its field names.
 
-    share: By PED-ANOVA; 1 in sum over the parameters, None below MIN_TRIALS trials.
-    rank: Spearman's correlation of value and score; positive where a larger value scores worse.
+    share: By PED-ANOVA; 1 in sum over the parameters, None below MIN_TRIALS trials or where no score is worse than
+        those of the best tenth.
+    rank: Spearman's correlation of value and score; positive where a larger value scores worse, 0 for three or more
+        values without an order.
     """
 
     share: float | None
@@ -45,24 +49,32 @@ def compute_importance(space: Space, trials: Sequence[Trial]) -> dict[str, Impor
     PED-ANOVA (Watanabe, Bansal, Hutter 2023; Optuna's) compares the best tenth of the trials with all trials, for each
     parameter alone. The rank correlation has also a sign.
     """
-    shares = _shares(space, trials) if len(trials) >= MIN_TRIALS else {}
     scores = np.array([trial.score for trial in trials])
-    importances = {
-        axis.name: Importance(
-            shares.get(axis.name),
-            rank_correlation(np.array([trial.parameters[axis.name] for trial in trials]), scores),
-            len(trials),
-        )
+    columns = {name: np.array([trial.parameters[name] for trial in trials]) for name in space.names}
+    shares = _shares(space, trials) if len(trials) >= MIN_TRIALS and _has_best_tenth(scores) else {}
+    ranks = {
+        axis.name: 0.0
+        if axis.choices and len(axis.grid) > LARGEST_SWITCH
+        else rank_correlation(columns[axis.name], scores)
         for axis in space.axes
     }
+    importances = {name: Importance(shares.get(name), ranks[name], len(trials)) for name in space.names}
     order = sorted(
         importances, key=lambda name: -(importances[name].share or 0.0) if shares else -abs(importances[name].rank)
     )
     return {name: importances[name] for name in order}
 
 
+def _has_best_tenth(scores: np.ndarray) -> bool:
+    """Whether any score is worse than those of the best tenth; else it says nothing about the parameters."""
+    return bool(np.sort(scores)[max(2, math.ceil(BEST_SHARE * len(scores))) - 1] < np.max(scores))
+
+
 def _shares(space: Space, trials: Sequence[Trial]) -> dict[str, float]:
     """The importances by PED-ANOVA, from logarithms of the scores, as the sampler gets them."""
+    varied = [name for name in space.names if len({trial.parameters[name] for trial in trials}) > 1]
+    if not varied:
+        return {}
     storage = optuna.storages.InMemoryStorage()
     directions = [optuna.study.StudyDirection.MINIMIZE]
     study_id = storage.create_new_study(directions, "importance")
@@ -75,8 +87,11 @@ def _shares(space: Space, trials: Sequence[Trial]) -> dict[str, float]:
         )
         storage.create_new_trial(study_id, template_trial=frozen)
     study = optuna.Study("importance", storage)
-    shares = get_param_importances(study, evaluator=PedAnovaImportanceEvaluator())
-    return {name: float(share) for name, share in shares.items() if math.isfinite(share)}
+    evaluator = PedAnovaImportanceEvaluator(target_quantile=BEST_SHARE)
+    shares = get_param_importances(study, evaluator=evaluator, params=varied)
+    if not all(math.isfinite(share) for share in shares.values()):
+        return {}
+    return {name: float(shares.get(name, 0.0)) for name in space.names}
 
 
 def rank_correlation(values: np.ndarray, scores: np.ndarray) -> float:

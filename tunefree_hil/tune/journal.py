@@ -20,9 +20,19 @@ import optuna
 from tunefree_hil.base.errors import BenchError, InputError, TunefreeError
 from tunefree_hil.grade.requirements.judgement import measure_violation
 from tunefree_hil.tune import store
+from tunefree_hil.tune.pareto import with_trades
 from tunefree_hil.tune.shared.study_copy import copy_study
 from tunefree_hil.tune.store import StudySettings
-from tunefree_hil.tune.trial import Baseline, Evaluation, Trial, check_evaluation, failure_text, find_best_trial
+from tunefree_hil.tune.trial import (
+    OBJECTIVES,
+    Baseline,
+    Evaluation,
+    Trial,
+    check_evaluation,
+    evaluation_from_data,
+    failure_text,
+    find_best_trial,
+)
 from tunefree_hil.tune.trial_loop import Outcomes, Points
 
 SCHEMA = "tunefree.trials/1"
@@ -42,7 +52,7 @@ class Journal:
 
     def trials(self) -> list[Trial]:
         """The filled slots, in slot order."""
-        return [self._trials[slot] for slot in sorted(self._trials)]
+        return self._with_trades([self._trials[slot] for slot in sorted(self._trials)])
 
     def failures(self) -> list[Trial]:
         """The failed attempts in the order in which they were made; those of a killed process are not stored."""
@@ -63,12 +73,12 @@ class Journal:
     def add_baseline(self, name: str, parameters: Mapping[str, float], evaluation: Evaluation) -> None:
         """Store the score of a baseline with the study. It is not a trial: the sampler does not learn from it."""
         check_evaluation(evaluation, f"baseline {name}")
-        self._store({"baseline": name, "parameters": dict(parameters), **_scored(evaluation)})
+        self._store({"baseline": name, "parameters": dict(parameters), **evaluation.as_data()})
 
     def store_confirmation(self, key: str, evaluation: Evaluation) -> None:
         """Store the evaluation of a trial or a baseline over the bus."""
         check_evaluation(evaluation, key)
-        self._store({"confirmed": key, **_scored(evaluation)})
+        self._store({"confirmed": key, **evaluation.as_data()})
 
     def lock(self) -> AbstractContextManager[None]:
         """Lock the file for this process. Raises InputError where another process holds it."""
@@ -84,10 +94,11 @@ class Journal:
             if isinstance(outcome, TunefreeError):
                 failures.append({"slot": slot, "parameters": points[slot], "error": failure_text(outcome)})
             else:
-                trials.append({"slot": slot, "parameters": points[slot], **_scored(outcome)})
+                trials.append({"slot": slot, "parameters": points[slot], **outcome.as_data()})
         self._store({"trials": trials, "failures": failures})
         failed = {trial.slot: trial for trial in self._failures[len(self._failures) - len(failures) :]}
-        return [failed.get(slot) or self._trials[slot] for slot in outcomes]
+        ended = [failed.get(slot) or self._trials[slot] for slot in outcomes]
+        return self._with_trades(ended)
 
     def load(self) -> None:
         """Read the file and remove an incomplete last line. Raises InputError for a study of other settings."""
@@ -113,7 +124,7 @@ class Journal:
 
     def copy_to(self, path: Path) -> None:
         """Copy the study with its confirmations to the study file at `path`."""
-        attributes = {CONFIRMED + key: _scored(evaluation) for key, evaluation in self._confirmed.items()}
+        attributes = {CONFIRMED + key: evaluation.as_data() for key, evaluation in self._confirmed.items()}
         copy_study(path, self, attributes)
 
     def _store(self, line: dict[str, Any]) -> None:
@@ -133,19 +144,26 @@ class Journal:
     def _apply(self, line: Mapping[str, Any]) -> None:
         """Read a line of the file into memory."""
         if "baseline" in line:
-            violation = self._violation(line["scenarios"])
+            scored = evaluation_from_data(line)
             self._baselines[line["baseline"]] = Baseline(
-                line["parameters"], line["score"], line["scenarios"], violation
+                line["parameters"],
+                scored.score,
+                scored.scenarios,
+                self._violation(scored.scenarios),
+                scored.objectives,
             )
         elif "confirmed" in line:
-            self._confirmed[line["confirmed"]] = Evaluation(line["score"], line["scenarios"])
+            self._confirmed[line["confirmed"]] = evaluation_from_data(line)
         for data in line.get("trials", ()):
             slot, violation = data["slot"], self._violation(data["scenarios"])
             trial = Trial(slot, slot, data["parameters"], data["score"], data["scenarios"], violation=violation)
-            self._trials.setdefault(slot, trial)
+            self._trials.setdefault(slot, trial._replace(objectives=tuple(data.get(OBJECTIVES, ()))))
         for data in line.get("failures", ()):
             failed = Trial(data["slot"], data["slot"], data["parameters"], math.nan, {}, data["error"])
             self._failures.append(failed)
+
+    def _with_trades(self, trials: list[Trial]) -> list[Trial]:
+        return with_trades(trials, self._baselines) if self.settings.objectives else trials
 
     def _violation(self, scenarios: Mapping[str, Any]) -> float:
         return measure_violation(scenarios, self.settings.requirements)
@@ -164,10 +182,6 @@ def open_journal(path: Path, settings: StudySettings) -> Journal:
 def slot_key(slot: int) -> str:
     """The name of a trial in confirmations and in the robustness check."""
     return f"trial {slot + 1}"
-
-
-def _scored(evaluation: Evaluation) -> dict[str, Any]:
-    return {"score": float(evaluation.score), "scenarios": evaluation.scenarios}
 
 
 def _no_journal(path: Path, reason: str) -> InputError:

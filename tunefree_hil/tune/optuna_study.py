@@ -11,8 +11,9 @@ from optuna.trial import FrozenTrial, TrialState
 
 from tunefree_hil.grade.requirements.judgement import measure_violation
 from tunefree_hil.tune import store
+from tunefree_hil.tune.pareto import with_trades
 from tunefree_hil.tune.sampling import sampler_value_from_score
-from tunefree_hil.tune.trial import INTERRUPTED, Baseline, Evaluation, Trial, check_evaluation
+from tunefree_hil.tune.trial import INTERRUPTED, OBJECTIVES, Baseline, Evaluation, Trial, check_evaluation
 
 BASELINE = "baseline "  # prefix of the key of a user attribute of the study
 
@@ -20,7 +21,9 @@ BASELINE = "baseline "  # prefix of the key of a user attribute of the study
 class StoredTrials:
     """Reads and writes the trials of one Optuna study.
 
-    The user attributes of a trial are `slot`, `worker` (shared studies), `score`, `scenarios` and `error`.
+    The user attributes of a trial are `slot`, `worker` (shared studies), `score`, `scenarios`, `objectives` (where
+    there are several) and `error`. Its value is the logarithm of the score in any case, so that studies of one and of
+    several objectives have one form; the search takes the objectives from the attributes.
     """
 
     def __init__(self, optuna_study: optuna.Study) -> None:
@@ -35,7 +38,7 @@ class StoredTrials:
         for frozen in self.optuna_study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
             trial = self.convert(frozen)
             by_slot.setdefault(trial.slot, trial)
-        return [by_slot[slot] for slot in sorted(by_slot)]
+        return self._with_trades([by_slot[slot] for slot in sorted(by_slot)])
 
     def failures(self) -> list[Trial]:
         """The failed attempts in order of time; the error of one that was cut off is "interrupted"."""
@@ -45,8 +48,7 @@ class StoredTrials:
     def add_baseline(self, name: str, parameters: Mapping[str, float], evaluation: Evaluation) -> None:
         """Store the score of a baseline with the study. It is not a trial: the sampler does not learn from it."""
         check_evaluation(evaluation, f"baseline {name}")
-        data = {"parameters": dict(parameters), "score": evaluation.score, "scenarios": evaluation.scenarios}
-        self.optuna_study.set_user_attr(BASELINE + name, data)
+        self.optuna_study.set_user_attr(BASELINE + name, {"parameters": dict(parameters), **evaluation.as_data()})
 
     def baselines(self) -> dict[str, Baseline]:
         """The stored baselines by name."""
@@ -62,9 +64,12 @@ class StoredTrials:
 
     def tell(self, running: optuna.Trial, evaluation: Evaluation) -> Trial:
         """Complete a running trial with its score."""
-        running.set_user_attr("score", float(evaluation.score))
-        running.set_user_attr("scenarios", evaluation.scenarios)
-        return self.convert(self.optuna_study.tell(running, sampler_value_from_score(evaluation.score)))
+        for key, value in evaluation.as_data().items():
+            running.set_user_attr(key, value)
+        (trial,) = self._with_trades(
+            [self.convert(self.optuna_study.tell(running, sampler_value_from_score(evaluation.score)))]
+        )
+        return trial
 
     def tell_failed(self, running: optuna.Trial, error: str) -> Trial:
         """End a running trial as failed."""
@@ -90,11 +95,16 @@ class StoredTrials:
             scenarios=attributes.get("scenarios", {}),
             error=attributes.get("error", INTERRUPTED) if is_failed else "",
             violation=self._violation(attributes.get("scenarios", {})),
+            objectives=tuple(attributes.get(OBJECTIVES, ())),
         )
+
+    def _with_trades(self, trials: list[Trial]) -> list[Trial]:
+        return with_trades(trials, self.baselines()) if self.settings.objectives else trials
 
     def _baseline(self, data: Mapping[str, Any]) -> Baseline:
         scenarios = data["scenarios"]
-        return Baseline(data["parameters"], data["score"], scenarios, self._violation(scenarios))
+        objectives = tuple(data.get(OBJECTIVES, ()))
+        return Baseline(data["parameters"], data["score"], scenarios, self._violation(scenarios), objectives)
 
     def _violation(self, scenarios: Mapping[str, Any]) -> float:
         return measure_violation(scenarios, self.settings.requirements)

@@ -20,13 +20,19 @@ from tunefree_hil.tune.trial import Trial, find_best_trial, trial_order
 class DriveTotals(NamedTuple):
     """Over all scenarios: score, and numbers of re-plans, of unfinished drives, and of drives that oscillate.
 
-    Stored under its field names.
+    trade: In a study of several objectives, as of a Trial. Stored under its field names, trade only where it is.
     """
 
     score: float
     replans: int
     failed: int
     oscillating: int = 0
+    trade: float | None = None
+
+    @property
+    def merit(self) -> float:
+        """What the slower car adds to the ranking, lower is better: the score, or the trade of several objectives."""
+        return self.score if self.trade is None else self.trade
 
     @property
     def is_clean(self) -> bool:
@@ -54,10 +60,10 @@ def drive_totals(score: float, scenarios: Mapping[str, Any]) -> DriveTotals:
     return DriveTotals(score, sum(int(drive.get("replans", 0) or 0) for drive in scenarios.values()), failed)
 
 
-def mean_score(trial: Trial, slower: SlowerTotals) -> float | None:
-    """Mean of the scores in the nominal and in the slower car; None where the slower car was not driven."""
+def mean_merit(trial: Trial, slower: SlowerTotals) -> float | None:
+    """Mean of the merits (score, or trade) in the nominal and in the slower car; None where that was not driven."""
     totals = slower.get(slot_key(trial.slot))
-    return None if totals is None else 0.5 * (trial.score + totals.score)
+    return None if totals is None else 0.5 * (trial.merit + totals.merit)
 
 
 def is_robust(trial: Trial, slower: SlowerTotals) -> bool:
@@ -69,40 +75,40 @@ def is_robust(trial: Trial, slower: SlowerTotals) -> bool:
 def rank_trials(trials: Sequence[Trial], slower: SlowerTotals) -> list[Trial]:
     """Sort the trials, the winner first.
 
-    Of trials that meet the requirements: robust trials by their mean score, then the others by theirs, then trials that
-    were not driven in the slower car by their score; the earliest of equals first. Then the other trials by their
+    Of trials that meet the requirements: robust trials by their mean merit, then the others by theirs, then trials that
+    were not driven in the slower car by their merit; the earliest of equals first. Then the other trials by their
     violation.
     """
     return sorted(trials, key=lambda trial: (trial.violation, *_rank(trial, slower), trial.slot))
 
 
 def _rank(trial: Trial, slower: SlowerTotals) -> tuple[RobustnessRank, float]:
-    mean = mean_score(trial, slower)
+    mean = mean_merit(trial, slower)
     if mean is None:
-        return RobustnessRank.NOT_DRIVEN, trial.score
+        return RobustnessRank.NOT_DRIVEN, trial.merit
     return RobustnessRank.PASSED if is_robust(trial, slower) else RobustnessRank.FAILED, mean
 
 
 def find_open_trials(trials: Sequence[Trial], slower: SlowerTotals) -> list[Trial]:
-    """Trials that may still win and must be driven in the slower car for that, the best score first.
+    """Trials that may still win and must be driven in the slower car for that, the best merit first.
 
     A trial that re-plans or fails in the nominal car cannot win, nor one that violates the requirements by more than
-    another. Nor can one whose score is no better than the best mean of a robust trial, on the assumption that its score
+    another. Nor can one whose merit is no better than the best mean of a robust trial, on the assumption that its merit
     in the slower car is not better than in the nominal one.
     """
     least = min((trial.violation for trial in trials), default=0.0)
     trials = [trial for trial in trials if trial.violation == least]
-    means = [mean for trial in trials if is_robust(trial, slower) and (mean := mean_score(trial, slower)) is not None]
+    means = [mean for trial in trials if is_robust(trial, slower) and (mean := mean_merit(trial, slower)) is not None]
     best = min(means, default=math.inf)
     not_driven = [trial for trial in trials if slot_key(trial.slot) not in slower]
     candidates = [
-        trial for trial in not_driven if trial.score < best and drive_totals(trial.score, trial.scenarios).is_clean
+        trial for trial in not_driven if trial.merit < best and drive_totals(trial.score, trial.scenarios).is_clean
     ]
-    return sorted(candidates, key=lambda trial: (trial.score, trial.slot))
+    return sorted(candidates, key=lambda trial: (trial.merit, trial.slot))
 
 
 def find_rejected_trials(trials: Sequence[Trial], slower: SlowerTotals) -> list[Trial]:
-    """Trials that are better in the nominal car than the winner, requirements first, then score; the best first."""
+    """Trials that are better in the nominal car than the winner, requirements first, then merit; the best first."""
     if not trials or find_best_trial(trials) is None:
         return []
     winner = rank_trials(trials, slower)[0]

@@ -7,6 +7,7 @@ resume with other settings is refused: trials of two different searches must not
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,13 +20,14 @@ from optuna.storages import RDBStorage
 from sqlalchemy import URL
 
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.tune.sampling import SAMPLERS
+from tunefree_hil.tune.sampling import GP_UCB, KAPPA_W, check_sampler
 from tunefree_hil.tune.space import Space, space_from_data
 
 STUDY_NAME = "tunefree"
 BUSY_S = 60.0  # longest wait while another program, such as the dashboard, has locked the file
 SETTINGS, VERSIONS = "settings", "optuna_versions"
-REQUIREMENTS, STARTS = "requirements", "starts"  # keys of the settings
+REQUIREMENTS, STARTS, OBJECTIVES = "requirements", "starts", "objectives"  # keys of the settings
+KAPPA = "kappa_w"  # another one
 
 
 class StudySettings(NamedTuple):
@@ -38,6 +40,9 @@ class StudySettings(NamedTuple):
         0: A shared study, in which each free worker takes a slot; its parameters depend on the trials finished by then.
     requirements: Limits by name, which the sampler gets as a constraint; empty in a search by score alone, as in every
         study of earlier versions.
+    objectives: Names of the parts of the score (grade/objectives.py) that are searched at the same time; empty where
+        the score is the only objective.
+    kappa_w: Weight of the uncertainty for the sampler `gp_ucb`, which alone uses it.
     """
 
     space: Space
@@ -48,6 +53,8 @@ class StudySettings(NamedTuple):
     in_flight: int = 1
     requirements: Mapping[str, float] = {}
     starts: Sequence[Mapping[str, float]] = ()
+    objectives: tuple[str, ...] = ()
+    kappa_w: float = KAPPA_W
 
     @property
     def given_points(self) -> list[dict[str, float]]:
@@ -66,6 +73,8 @@ class StudySettings(NamedTuple):
             "in_flight": self.in_flight,
             **requirements,
             **({STARTS: [dict(values) for values in self.starts]} if self.starts else {}),
+            **({OBJECTIVES: list(self.objectives)} if self.objectives else {}),
+            **({KAPPA: self.kappa_w} if self.sampler == GP_UCB else {}),
         }
 
 
@@ -73,11 +82,10 @@ def check_settings(settings: StudySettings) -> None:
     """Raise InputError for settings that a study cannot have."""
     if settings.seed < 0:
         raise InputError(f"the seed is {settings.seed}", code="bad_seed", key="seed", hint="use 0 or more")
-    if settings.sampler not in SAMPLERS:
-        known = ", ".join(SAMPLERS)
-        raise InputError(
-            f"no sampler {settings.sampler!r}", code="unknown_sampler", key="tune.sampler", hint=f"use one of {known}"
-        )
+    check_sampler(settings.sampler)  # one that searches a single objective gets the trade of several (trial_loop.py)
+    if not 0.0 < settings.kappa_w < math.inf:
+        hint = f"use a number above 0; default: {KAPPA_W:g}"
+        raise InputError(f"kappa_w is {settings.kappa_w:g}", code="bad_kappa_w", key="tune.kappa_w", hint=hint)
     if settings.in_flight < 0:
         raise InputError(f"in_flight is {settings.in_flight}", code="bad_in_flight", key="tune.in_flight")
     if any(settings.space.clip(values) != values for values in settings.given_points):
@@ -130,7 +138,8 @@ def read_settings(study: optuna.Study) -> StudySettings:
     stored = study.user_attrs[SETTINGS]
     space = space_from_data(stored["parameters"])
     values = (stored["seed"], stored["sampler"], stored["bench_hash"], stored["first"], stored.get("in_flight", 1))
-    return StudySettings(space, *values, requirements=stored.get(REQUIREMENTS, {}), starts=stored.get(STARTS, ()))
+    further = {key: stored[key] for key in (REQUIREMENTS, STARTS, KAPPA) if key in stored}
+    return StudySettings(space, *values, **further, objectives=tuple(stored.get(OBJECTIVES, ())))
 
 
 def read_versions(study: optuna.Study) -> tuple[str, ...]:
@@ -154,9 +163,10 @@ def require_same_settings(stored: Mapping[str, Any], settings: StudySettings, wh
 def describe_differences(stored: Mapping[str, Any], requested: Mapping[str, Any]) -> dict[str, str]:
     """The differences between two settings as plain data: a clause for an error message, by key."""
     stored = {"in_flight": 1, **stored}  # studies of earlier versions do not have it
+    stored, requested = ({KAPPA: KAPPA_W, **settings} for settings in (stored, requested))  # of gp_ucb alone
     clauses = {
         key: f"{key} was {stored[key]}, now {requested[key]}"
-        for key in ("seed", "sampler", "bench_hash", "in_flight")
+        for key in ("seed", "sampler", KAPPA, "bench_hash", "in_flight")
         if stored[key] != requested[key]
     }
     for group in ("parameters", "first"):
@@ -168,6 +178,9 @@ def describe_differences(stored: Mapping[str, Any], requested: Mapping[str, Any]
             clauses[f"{group} {name}"] = f"{group} {name} was {_value_text(old[name])}, now {_value_text(new[name])}"
     if stored.get(STARTS, []) != requested.get(STARTS, []):
         clauses[STARTS] = f"{len(stored.get(STARTS, []))} further starts before, now {len(requested.get(STARTS, []))}"
+    old, new = (", ".join(settings.get(OBJECTIVES, ())) or "the score" for settings in (stored, requested))
+    if old != new:
+        clauses[OBJECTIVES] = f"the objectives were {old}, now {new}"
     old, new = stored.get(REQUIREMENTS, {}), requested.get(REQUIREMENTS, {})
     for name in [name for name in {**old, **new} if old.get(name) != new.get(name)]:
         before, after = ("none" if limit is None else f"{limit:g}" for limit in (old.get(name), new.get(name)))

@@ -10,6 +10,7 @@ from tunefree_hil.base.errors import BenchError, TunefreeError
 from tunefree_hil.tune.store import StudySettings
 
 INTERRUPTED = "interrupted"  # the error of an attempt that was cut off
+OBJECTIVES = "objectives"  # key of stored data
 
 
 class Evaluation(NamedTuple):
@@ -17,17 +18,34 @@ class Evaluation(NamedTuple):
 
     scenarios: Plain JSON data by scenario (score, metrics, replans ...), stored unchanged.
     error: Not empty where the bench failed (a lost node); the score is then invalid. Raising BenchError is equivalent.
+    objectives: Of a study of several objectives, in the order of its settings; as a score each.
     """
 
     score: float
     scenarios: dict[str, Any]
     error: str = ""
+    objectives: tuple[float, ...] = ()
+
+    def as_data(self) -> dict[str, Any]:
+        """Plain data, as it is stored: score, scenarios, and objectives where there are any."""
+        return {
+            "score": float(self.score),
+            "scenarios": self.scenarios,
+            **({OBJECTIVES: [float(value) for value in self.objectives]} if self.objectives else {}),
+        }
+
+
+def evaluation_from_data(data: Mapping[str, Any]) -> Evaluation:
+    """The inverse of `Evaluation.as_data`."""
+    return Evaluation(data["score"], data["scenarios"], objectives=tuple(data.get(OBJECTIVES, ())))
 
 
 class Trial(NamedTuple):
     """A filled slot; with `error` and score NaN a failed attempt. `number` is Optuna's, which counts failures too.
 
     violation: Of the requirements of the study, 0 where they are met or the study has none.
+    objectives: As of an Evaluation.
+    trade: In a study of several objectives, how good they are together (pareto.py); lower is better.
     """
 
     slot: int
@@ -37,26 +55,34 @@ class Trial(NamedTuple):
     scenarios: dict[str, Any]
     error: str = ""
     violation: float = 0.0
+    objectives: tuple[float, ...] = ()
+    trade: float | None = None
+
+    @property
+    def merit(self) -> float:
+        """What trials are ranked by, lower is better: the score, or the trade of several objectives."""
+        return self.score if self.trade is None else self.trade
 
 
 class TrialOrder(NamedTuple):
-    """What trials are compared by, the smaller the better."""
+    """What trials are compared by, the smaller the better. merit: as of a Trial."""
 
     violation: float
-    score: float
+    merit: float
     slot: int
 
 
 class Baseline(NamedTuple):
     """Scored parameters for comparison, stored with the study; they do not come from the search.
 
-    violation: As of a Trial.
+    violation, objectives: As of a Trial.
     """
 
     parameters: dict[str, float]
     score: float
     scenarios: dict[str, Any]
     violation: float = 0.0
+    objectives: tuple[float, ...] = ()
 
 
 class ScoredStudy(Protocol):
@@ -74,22 +100,23 @@ EvaluateAll = Callable[[Mapping[int, dict[str, float]]], Sequence[Evaluation]]  
 
 
 def check_evaluation(evaluation: Evaluation, name: str) -> None:
-    """Raise BenchError where the bench failed, TunefreeError where the score is not finite or negative."""
+    """Raise BenchError where the bench failed, TunefreeError for a negative or infinite score or objective."""
     if evaluation.error:
         raise BenchError(evaluation.error, code="evaluation_failed")
-    if not (math.isfinite(evaluation.score) and evaluation.score >= 0.0):
-        message = f"{name} was scored {evaluation.score}; a score is finite and not negative"
-        raise TunefreeError(message, code="bad_score")
+    for value in (evaluation.score, *evaluation.objectives):
+        if not (math.isfinite(value) and value >= 0.0):
+            message = f"{name} was scored {value}; a score is finite and not negative"
+            raise TunefreeError(message, code="bad_score")
 
 
 def find_best_trial(trials: Sequence[Trial]) -> Trial | None:
-    """The best trial: requirements first, then score, then the earliest; None without trials."""
+    """The best trial: requirements first, then score or trade, then the earliest; None without trials."""
     return min(trials, key=trial_order, default=None)
 
 
 def trial_order(trial: Trial) -> TrialOrder:
-    """Sort key: trials that meet the requirements by score, then the others by their violation; the earliest first."""
-    return TrialOrder(trial.violation, trial.score, trial.slot)
+    """Sort key: trials that meet the requirements by merit, then the others by their violation; the earliest first."""
+    return TrialOrder(trial.violation, trial.merit, trial.slot)
 
 
 def failure_text(error: TunefreeError) -> str:

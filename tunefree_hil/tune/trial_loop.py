@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from tunefree_hil.base.errors import BenchError, TunefreeError
 from tunefree_hil.tune.sampling import ScoredPoint, suggest_points
+from tunefree_hil.tune.sampling.records import find_record
 from tunefree_hil.tune.store import StudySettings
 from tunefree_hil.tune.trial import INTERRUPTED, Evaluate, EvaluateAll, Evaluation, Trial, check_evaluation
 
@@ -65,14 +66,17 @@ def suggest_slots(settings: StudySettings, done: Sequence[Trial], slots: Sequenc
             seed=settings.seed,
             slots=remaining,
             pending=list(points.values()),
+            kappa_w=settings.kappa_w,
         )
         points |= dict(zip(remaining, suggested, strict=True))
     return {slot: points[slot] for slot in slots}
 
 
 def point_from_trial(trial: Trial, settings: StudySettings) -> ScoredPoint:
-    """What a sampler learns from a trial."""
-    return ScoredPoint(trial.parameters, trial.score, trial.violation if settings.requirements else None)
+    """What a sampler learns from a trial. One that searches a single value gets the trade of several objectives."""
+    violation = trial.violation if settings.requirements else None
+    objectives = trial.objectives if find_record(settings.sampler).objectives else ()
+    return ScoredPoint(trial.parameters, trial.merit, violation, objectives)
 
 
 def find_next_slots(filled: set[int], in_flight: int, trials: int) -> list[int]:

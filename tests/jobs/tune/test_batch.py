@@ -20,14 +20,14 @@ COMPILES_S = 200.0  # patience: on a machine that never compiled this bench, und
 
 
 class BatchTune:
-    """One command on a bench of two seconds."""
+    """One command on a bench of a few seconds, with `more` options."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *more: str, duration_s: float = 2.0) -> None:
         options = ("--backend", "batch", "--trials", TRIALS, "--confirm", 2, "--no-verify", "--json")
         self.out = folder / "runs"
-        bench = write_bench(folder)
+        bench = write_bench(folder, duration_s=duration_s)
         bench.write_text(bench.read_text().replace("slower = 1.0", "slower = 1.5"))
-        self.words = ("tune", bench, *options, "--out", self.out)
+        self.words = ("tune", bench, *options, *more, "--out", self.out)
 
     @property
     def run(self) -> Path:

@@ -1,94 +1,104 @@
 """Model-reference adaptive control of the steering actuator: eq. 5 and 6 of the paper, docs/reference/apollo.md.
 
-Inside this file signals are percent of the steering limit (the box of `mrac.p` presumes it), x = [angle, its rate].
+Inside this file signals are percent of the steering limit (the box of `mrac.p` presumes it), x = [angle, its rate, ..].
 Form "apollo" is the shipped law (bounds, anti-windup, clamping rule), form "paper" is eq. 6 only.
 The law has no dead time: with the actuator of the data sheet the loop is stable up to |Kx| of about 1.5 (test_mrac).
 mrac.clamp_s = 0.08 s keeps |Kx| below 0.54, 0.01 s allows 11, which a p of 1e-3 reaches in a tight turn.
 On a straight road only noise and sensor offsets drive eq. 6, and the gains drift.
 Settings.mrac_dead_zone ignores an error that small (dead-zone modification: Peterson and Narendra 1982,
 Ioannou and Sun, Robust Adaptive Control, 8.4.3), continuously: of a larger error the part above it is used.
-Model order 1 has the reference time constant `mrac.t_ref_s`; order 2 its natural frequency and damping from Settings.
-Start gains and clamp are computed from the actuator lag of the data sheet, without which MRAC is refused.
+The models of each order are in control/mrac_model.py. Start gains and clamp are computed from the actuator lag of the
+data sheet, without which MRAC is refused.
+
+Derivatives. Order 2 takes the difference of two ticks, as Apollo does: one bit of the report is then as much as 2 % a
+second. From order 3 on each derivative goes through a lag of FILTER_S, and those of the reference through the same
+lags, so that no delay of a filter is taken for an error of the actuator (state-variable filters: Young 1981, Automatica
+17, 23-39).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from tunefree_hil.base.contracts import Block
-from tunefree_hil.base.errors import InputError
-from tunefree_hil.base.kernel import kernel
-from tunefree_hil.base.maths import clamp
-from tunefree_hil.control.contract import (
-    RISE_PER_TAU,
-    InnerAnswer,
-    LoopDelays,
-    Recipe,
-    Settings,
-    Setup,
-    VehicleConstants,
-)
+from tunefree_hil.base.kernel import buffer, kernel, table
+from tunefree_hil.base.maths import clamp, is_finite
+from tunefree_hil.control.contract import InnerAnswer, LoopDelays, Recipe, Setup
 from tunefree_hil.control.limits import SteerBound, steer_bound, steer_bound_of
+from tunefree_hil.control.mrac_model import (
+    ReferenceModel,
+    actuator_tau_s,
+    check_order,
+    lead_shares,
+    lyapunov_pb,
+    reference_model,
+    start_gains,
+    time_unit_s,
+)
 from tunefree_hil.control.mrac_needs import require_needs
 from tunefree_hil.control.parameters import tunables_of
 
 ADAPT_ABOVE_MPS = 0.2
 RATE_PERCENT_PER_S = 10000.0  # of the reference and the output, as in Apollo (the rate of the wheel is limited later)
+FILTER_S = 0.02  # lag of each derivative from order 3 on: one period of a steering report
 
 
-class Gains(NamedTuple):
-    """u = x1 angle + x2 rate + r command."""
+class Differentiator(NamedTuple):
+    """A derivative in the model's unit of time: (value - low) / span, and low goes a share of the way to the value."""
 
-    x1: float
-    x2: float
-    r: float
-
-
-class Tustin(NamedTuple):
-    """Reference model: x[k] = m x[k-1] + n (r[k] + r[k-1])."""
-
-    m11: float
-    m12: float
-    m21: float
-    m22: float
-    n1: float
-    n2: float
+    span: float
+    share: float
 
 
 class MracParams(NamedTuple):
-    """Everything in percent. Flags are 0 or 1."""
+    """Everything in percent, derivatives in units of `unit_s`. Flags are 0 or 1. Rows have the order's length."""
 
     enable: float
     plain: float
-    order2: float
+    filtered: float  # order 3 and more
     percent_per_rad: float
-    reference: Tustin
-    pb1: float  # P B
-    pb2: float
+    reference: ReferenceModel
+    differentiator: Differentiator
+    unit_s: float
+    pb: Any  # P B
     gamma: float
     dead_zone: float
     anti_windup: float
     clamped: float
-    x_low: float
+    x_low: Any
     r_high: float
-    start: Gains
+    start: Any  # gains on the angle and its derivatives
+    start_command: float
     bound: SteerBound
 
 
 class MracState(NamedTuple):
-    """Gains, and values of the last tick for the trapezoidal rule."""
+    """Gains, and values of the last tick for the trapezoidal rule. Rows have the order's length."""
 
     begun: float
-    gains: Gains
-    ref1: float
-    ref2: float
-    angle: float
-    rate: float
+    gains: Any
+    trial: Any  # gains that may break the clamp, and other intermediate values
+    reference: Any  # of the model
+    angle: Any  # the angle and its derivatives: now
+    last_angle: Any
+    angle_lows: Any  # of their differentiators
+    target: Any  # the reference's angle and derivatives
+    target_lows: Any
+    command_gain: float
     command: float
     pull: float  # (e + aw)' P B
-    windup1: float
-    windup2: float
+    windup: float  # of the angle
+    rate_windup: float
     out: float
+
+
+class Output(NamedTuple):
+    """The command within its bounds, which bound it met, and the anti-windup of the next tick."""
+
+    value: float
+    status: float
+    windup: float
+    rate_windup: float
 
 
 def make(setup: Setup) -> Block:
@@ -101,107 +111,66 @@ def make(setup: Setup) -> Block:
     tau_s = actuator_tau_s(vehicle)
     if enable:
         require_needs(setup, tau_s)
-    order2 = settings.mrac_order == 2
-    if settings.mrac_order not in (1, 2) or settings.mrac_form not in ("apollo", "paper"):
-        raise InputError("mrac_order is 1 or 2, mrac_form 'apollo' or 'paper'", code="bad_mrac", key="controller")
-    clamp_s = values["mrac.clamp_s"]
-    plain = settings.mrac_form == "paper"
-    pb1, pb2 = second_order_pb(values["mrac.p"], settings) if order2 else first_order_pb(values["mrac.p"])
+        check_order(settings, vehicle, setup.dt_s)
+    else:
+        settings = settings._replace(mrac_order=1)  # switched off it needs nothing of the vehicle
+    clamp_s, t_ref_s = values["mrac.clamp_s"], values["mrac.t_ref_s"]
+    order, plain = settings.mrac_order, settings.mrac_form == "paper"
+    reference = reference_model(t_ref_s, settings, vehicle, setup.dt_s)
+    unit_s, start = time_unit_s(t_ref_s, settings, vehicle), start_gains(t_ref_s, vehicle, settings)
+    r_high = tau_s / clamp_s if clamp_s > 0.0 else 0.0
+    shares = lead_shares(settings, vehicle, unit_s) if order != 2 else (1.0, 0.0)
     params = MracParams(
         enable=enable,
         plain=1.0 if plain else 0.0,
-        order2=1.0 if order2 else 0.0,
+        filtered=1.0 if order > 2 else 0.0,
         percent_per_rad=100.0 / vehicle.steer_limit_rad,
-        reference=second_order(settings, setup.dt_s) if order2 else first_order(values["mrac.t_ref_s"], setup.dt_s),
-        pb1=pb1,
-        pb2=pb2,
+        reference=reference,
+        differentiator=make_differentiator(order, unit_s, setup.dt_s),
+        unit_s=unit_s,
+        pb=table(lyapunov_pb(t_ref_s, values["mrac.p"], settings, vehicle)),
         gamma=values["mrac.gamma"],
         dead_zone=0.0 if plain else settings.mrac_dead_zone,
         anti_windup=0.0 if plain else settings.mrac_anti_windup,
-        clamped=1.0 if clamp_s > 0.0 and not order2 and not plain else 0.0,
-        x_low=1.0 - tau_s / clamp_s if clamp_s > 0.0 else 0.0,
-        r_high=tau_s / clamp_s if clamp_s > 0.0 else 0.0,
-        start=start_gains(values["mrac.t_ref_s"], vehicle, settings),
+        clamped=1.0 if clamp_s > 0.0 and order != 2 and not plain else 0.0,
+        x_low=table(share * (1.0 - r_high) if clamp_s > 0.0 else 0.0 for share in shares),
+        r_high=r_high,
+        start=table(start.angle),
+        start_command=start.command,
         bound=steer_bound_of(setup),
     )
     return Block(init, step, params, CONTROLLER.tunables)
 
 
-def actuator_tau_s(vehicle: VehicleConstants) -> float:
-    """The lag for the dead time and rise time of the data sheet (MKZ: 0.1227 s)."""
-    return (vehicle.steer_dead_time_s + vehicle.steer_rise_time_s) / RISE_PER_TAU
-
-
-def start_gains(t_ref_s: float, vehicle: VehicleConstants, settings: Settings) -> Gains:
-    """Gains with which the assumed actuator is the reference model; (0, 0, 1), no change, in the paper's form."""
-    if settings.mrac_form == "paper" or vehicle.steer_rise_time_s <= 0.0:
-        return Gains(0.0, 0.0, 1.0)
-    if settings.mrac_order == 1:
-        ratio = actuator_tau_s(vehicle) / t_ref_s
-        return Gains(1.0 - ratio, 0.0, ratio)
-    # Natural frequency 1.8 / rise time; damping 1 without a settling time.
-    natural = 1.8 / vehicle.steer_rise_time_s
-    square = natural * natural
-    wish, damping = settings.mrac_natural_radps, settings.mrac_damping
-    return Gains(1.0 - wish * wish / square, 2.0 * (natural - damping * wish) / square, wish * wish / square)
-
-
-def first_order(t_ref_s: float, dt_s: float) -> Tustin:
-    """a = -1/T, b = 1/T. Raises InputError for a time constant that is not positive."""
-    if t_ref_s <= 0.0:
-        raise InputError(
-            f"mrac.t_ref_s = {t_ref_s} is no time constant", code="bad_mrac", key="mrac.t_ref_s", hint="give it above 0"
-        )
-    half = 0.5 * dt_s / t_ref_s
-    return Tustin((1.0 - half) / (1.0 + half), 0.0, 0.0, 0.0, half / (1.0 + half), 0.0)
-
-
-def second_order(settings: Settings, dt_s: float) -> Tustin:
-    """A = [[0, 1], [-w^2, -2 d w]], B = [0, w^2]: (I - h A)^-1 (I + h A) and (I - h A)^-1 h B with h = dt/2."""
-    h, w, d = 0.5 * dt_s, settings.mrac_natural_radps, settings.mrac_damping
-    stiff, damp = h * w * w, 2.0 * h * d * w
-    scale = 1.0 / (1.0 + damp + h * stiff)
-    return Tustin(
-        m11=scale * (1.0 + damp - h * stiff),
-        m12=scale * 2.0 * h,
-        m21=-scale * 2.0 * stiff,
-        m22=scale * (1.0 - damp - h * stiff),
-        n1=scale * h * stiff,
-        n2=scale * stiff,
-    )
-
-
-def first_order_pb(p: float) -> tuple[float, float]:
-    """P B with P = p and B = 1; -(P A + A' P) = 2 p / T must be positive."""
-    if p <= 0.0:
-        raise InputError(f"mrac.p = {p} gives no Lyapunov function", code="bad_mrac", key="mrac.p", hint="p > 0")
-    return p, 0.0
-
-
-def second_order_pb(p: float, settings: Settings) -> tuple[float, float]:
-    """P B with B = [0, w^2] and P = p x shape; without a given shape that of -(P A + A' P) = p I.
-
-    Raises InputError unless P and -(P A + A' P) are positive definite.
-    """
-    square, lean = settings.mrac_natural_radps * settings.mrac_natural_radps, 2.0 * settings.mrac_damping
-    lean *= settings.mrac_natural_radps
-    p12 = 0.5 / square
-    p22 = (1.0 + 2.0 * p12) / (2.0 * lean)
-    shape = settings.mrac_shape or (lean * p12 + square * p22, p12, p22)
-    p11, p12, p22 = p * shape[0], p * shape[1], p * shape[2]
-    n11, n12, n22 = 2.0 * square * p12, square * p22 + lean * p12 - p11, 2.0 * (lean * p22 - p12)
-    if not (p11 > 0.0 and p11 * p22 > p12 * p12 and n11 > 0.0 and n11 * n22 > n12 * n12):
-        raise InputError(
-            f"P = [[{p11}, {p12}], [{p12}, {p22}]] gives no Lyapunov function of the reference model",
-            code="bad_mrac",
-            key="mrac_shape",
-            hint="leave it out: it is then solved for",
-        )
-    return square * p12, square * p22
+def make_differentiator(order: int, unit_s: float, dt_s: float) -> Differentiator:
+    """The plain difference of two ticks up to order 2, above it through a lag (backward Euler)."""
+    if order <= 2:
+        return Differentiator(dt_s, 1.0)
+    return Differentiator((FILTER_S + dt_s) / unit_s, dt_s / (FILTER_S + dt_s))
 
 
 def init(params: MracParams, dt_s: float) -> MracState:
-    return MracState(0.0, params.start, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    order = len(params.start)
+    gains = buffer(order)
+    for i in range(order):
+        gains[i] = params.start[i]
+    return MracState(
+        begun=0.0,
+        gains=gains,
+        trial=buffer(order),
+        reference=buffer(order),
+        angle=buffer(order),
+        last_angle=buffer(order),
+        angle_lows=buffer(order),
+        target=buffer(order),
+        target_lows=buffer(order),
+        command_gain=params.start_command,
+        command=0.0,
+        pull=0.0,
+        windup=0.0,
+        rate_windup=0.0,
+        out=0.0,
+    )
 
 
 @kernel
@@ -212,33 +181,95 @@ def step(
     wish_rad, measured_rad, speed_mps = x
     if params.enable == 0.0:
         return state, InnerAnswer(wish_rad, 0.0)
+    total = wish_rad + measured_rad + speed_mps
+    if not is_finite(total):  # the cascade refuses such a tick and keeps the state of before it
+        return state, InnerAnswer(total, 0.0)
     command, angle = wish_rad * params.percent_per_rad, measured_rad * params.percent_per_rad
+    last_command, last_out, command_gain = state.command, state.out, state.command_gain
     if state.begun == 0.0:
-        state = MracState(1.0, state.gains, angle, 0.0, angle, 0.0, command, 0.0, 0.0, 0.0, angle)
-    rate = (angle - state.angle) / dt_s if params.order2 != 0.0 else 0.0
+        begin(params, state, angle)
+        last_command, last_out = command, angle
     largest = steer_bound(params.bound, speed_mps) * params.percent_per_rad
     if params.plain != 0.0:
         largest = 1e9
-    ref1, ref2 = follow(params.reference, state, command)
-    if params.plain == 0.0:
-        ref1, _ = bounded(ref1, state.ref1, largest, dt_s)
-    error1, error2 = angle - ref1 + state.windup1, rate - ref2 + state.windup2
-    pull = beyond(error1, params.dead_zone) * (error1 * params.pb1 + error2 * params.pb2)
-    gains = state.gains
+    gains, row = state.gains, state.angle
+    for i in range(len(row)):
+        state.last_angle[i] = row[i]
+    fill_derivatives(row, state.angle_lows, params.differentiator, angle)
+    follow(params, state, command + last_command, largest, dt_s)
+    pull = adaptation_error(params, state)
     if abs(speed_mps) >= ADAPT_ABOVE_MPS:
-        gains = adapt(params, state, angle, rate, command, pull, dt_s)
-    free = gains.x1 * angle + gains.x2 * rate + gains.r * command
-    out, status = free, 0.0
+        command_gain = adapt(params, state, command, last_command, pull, dt_s)
+    free = 0.0
+    for i in range(len(row)):
+        free += gains[i] * row[i]
+    free += command_gain * command
+    out = limit_output(params, free, last_out, largest, dt_s)
+    new_state = MracState(
+        1.0, gains, state.trial, state.reference, row, state.last_angle, state.angle_lows, state.target,
+        state.target_lows, command_gain, command, pull, out.windup, out.rate_windup, out.value,
+    )  # fmt: skip
+    return new_state, InnerAnswer(out.value / params.percent_per_rad, out.status)  # not 0: 100 over a finite limit
+
+
+@kernel
+def begin(params: MracParams, state: MracState, angle: float) -> None:
+    """The first tick: start gains, actuator and reference stand at the measured angle.
+
+    The cascade may begin more than once: it keeps the state of before a tick in which another part has no number.
+    """
+    for i in range(len(state.angle)):
+        is_angle = i == 0 or params.filtered != 0.0  # from order 3 on every state of the model is an angle
+        state.reference[i] = angle if is_angle else 0.0
+        state.gains[i] = params.start[i]
+        state.angle[i], state.angle_lows[i], state.target[i], state.target_lows[i] = 0.0, 0.0, 0.0, 0.0
+    state.angle[0], state.target[0] = angle, angle
+    if len(state.angle) > 1:
+        state.angle_lows[1], state.target_lows[1] = angle, angle
+
+
+@kernel
+def fill_derivatives(row: Any, lows: Any, differentiator: Differentiator, value: float) -> None:
+    """A value and its derivatives into a row; lows[i] is what the differentiator of the i-th one remembers."""
+    row[0] = value
+    for i in range(1, len(row)):
+        rise = row[i - 1] - lows[i]
+        row[i] = rise / differentiator.span  # not 0: a tick or more
+        if differentiator.share == 1.0:
+            lows[i] = row[i - 1]
+        else:
+            lows[i] += differentiator.share * rise
+
+
+@kernel
+def follow(params: MracParams, state: MracState, drive: float, largest: float, dt_s: float) -> None:
+    """The reference model of eq. 5 a tick later, and the target: its angle and derivatives. drive: r[k] + r[k-1]."""
+    model, reference, order = params.reference, state.reference, len(state.angle)
+    for i in range(order):
+        total = 0.0
+        for j in range(order):
+            total += model.m[i * order + j] * reference[j]
+        state.trial[i] = total + model.n[i] * drive
     if params.plain == 0.0:
-        out, status = bounded(free, state.out, largest, dt_s)
-    windup1, windup2 = 0.0, 0.0
-    if status != 0.0:
-        windup1 = params.anti_windup * (clamp(free, -largest, largest) - free)
-        if params.order2 != 0.0:
-            speed = (free - state.out) / dt_s
-            windup2 = params.anti_windup * (clamp(speed, -RATE_PERCENT_PER_S, RATE_PERCENT_PER_S) - speed)
-    answer = InnerAnswer(out / params.percent_per_rad, status)  # not 0: 100 over a finite limit
-    return MracState(1.0, gains, ref1, ref2, angle, rate, command, pull, windup1, windup2, out), answer
+        state.trial[0], _ = bounded(state.trial[0], reference[0], largest, dt_s)
+    for i in range(order):
+        reference[i] = state.trial[i]
+        state.target[i] = state.trial[i]
+    if params.filtered != 0.0:
+        fill_derivatives(state.target, state.target_lows, params.differentiator, reference[0])
+
+
+@kernel
+def adaptation_error(params: MracParams, state: MracState) -> float:
+    """(e + aw)' P B, of an error above the dead zone."""
+    first = state.angle[0] - state.target[0] + state.windup
+    total = first * params.pb[0]
+    for i in range(1, len(state.angle)):
+        error = state.angle[i] - state.target[i]
+        if i == 1:
+            error += state.rate_windup
+        total += error * params.pb[i]
+    return beyond(first, params.dead_zone) * total
 
 
 @kernel
@@ -251,33 +282,46 @@ def beyond(error: float, dead_zone: float) -> float:
 
 
 @kernel
-def follow(model: Tustin, state: MracState, command: float) -> tuple[float, float]:
-    """The reference model of eq. 5 a tick later."""
-    drive = command + state.command
-    ref1 = model.m11 * state.ref1 + model.m12 * state.ref2 + model.n1 * drive
-    return ref1, model.m21 * state.ref1 + model.m22 * state.ref2 + model.n2 * drive
+def adapt(params: MracParams, state: MracState, command: float, last_command: float, pull: float, dt_s: float) -> float:
+    """Eq. 6: K' = -gamma phi (e' P B), trapezoidal (Euler in the paper's form), within the clamp or not at all.
+
+    The gains of the angle are changed in the state; returns the gain of the command.
+    """
+    gains, now, last = state.gains, state.angle, state.last_angle
+    if params.plain != 0.0:
+        share = dt_s * params.gamma * pull
+        for i in range(len(gains)):
+            gains[i] -= share * now[i]
+        return state.command_gain - share * command
+    half = 0.5 * dt_s * params.gamma
+    command_gain = state.command_gain - half * (command * pull + last_command * state.pull)
+    # If one leaves its range all are reset. A reference slower than the assumed actuator starts outside: frozen.
+    outside = command_gain < 1.0 or command_gain > params.r_high
+    for i in range(len(gains)):
+        gain = gains[i] - half * (now[i] * pull + last[i] * state.pull)
+        outside = outside or gain > 0.0 or gain < params.x_low[i]
+        state.trial[i] = gain
+    if params.clamped != 0.0 and outside:
+        return state.command_gain
+    for i in range(len(gains)):
+        gains[i] = state.trial[i]
+    return command_gain
 
 
 @kernel
-def adapt(
-    params: MracParams, state: MracState, angle: float, rate: float, command: float, pull: float, dt_s: float
-) -> Gains:
-    """Eq. 6: K' = -gamma phi (e' P B), trapezoidal (Euler in the paper's form), within the clamp or not at all."""
-    last = state.gains
+def limit_output(params: MracParams, free: float, last: float, largest: float, dt_s: float) -> Output:
+    """The output within size and rate, with the anti-windup for what was cut off; higher derivatives have no bound."""
     if params.plain != 0.0:
-        share = dt_s * params.gamma * pull
-        return Gains(last.x1 - share * angle, last.x2 - share * rate, last.r - share * command)
-    half = 0.5 * dt_s * params.gamma
-    gains = Gains(
-        last.x1 - half * (angle * pull + state.angle * state.pull),
-        last.x2 - half * (rate * pull + state.rate * state.pull),
-        last.r - half * (command * pull + state.command * state.pull),
-    )
-    # If either leaves its range both are reset. A reference slower than the assumed actuator starts outside: frozen.
-    outside = gains.x1 > 0.0 or gains.x1 < params.x_low or gains.r < 1.0 or gains.r > params.r_high
-    if params.clamped != 0.0 and outside:
-        return last
-    return gains
+        return Output(free, 0.0, 0.0, 0.0)
+    out, status = bounded(free, last, largest, dt_s)
+    if status == 0.0:
+        return Output(out, status, 0.0, 0.0)
+    windup, rate_windup = params.anti_windup * (clamp(free, -largest, largest) - free), 0.0
+    if len(params.pb) > 1:
+        speed = (free - last) / dt_s
+        rate_windup = params.anti_windup * (clamp(speed, -RATE_PERCENT_PER_S, RATE_PERCENT_PER_S) - speed)
+        rate_windup *= params.unit_s
+    return Output(out, status, windup, rate_windup)
 
 
 @kernel
@@ -298,19 +342,23 @@ def bounded(free: float, last: float, largest: float, dt_s: float) -> tuple[floa
 
 def loop_lag_s(setup: Setup) -> float:
     """The lag from the demand to the wheel with the start gains; in the paper's form they change nothing."""
-    lag_s, tau_s = setup.delays.steer_lag_s, actuator_tau_s(setup.vehicle)
-    if setup.values["mrac.enable"] < 0.5 or tau_s <= 0.0 or setup.settings.mrac_form == "paper":
+    lag_s, tau_s, settings = setup.delays.steer_lag_s, actuator_tau_s(setup.vehicle), setup.settings
+    if setup.values["mrac.enable"] < 0.5 or tau_s <= 0.0 or settings.mrac_form == "paper":
         return lag_s
-    return lag_with_feedback_s(setup.delays, tau_s / setup.values["mrac.t_ref_s"])
+    t_ref_s = setup.values["mrac.t_ref_s"]
+    start = start_gains(t_ref_s, setup.vehicle, settings)
+    rate_s = start.angle[1] * time_unit_s(t_ref_s, settings, setup.vehicle) if settings.mrac_order > 1 else 0.0
+    return lag_with_feedback_s(setup.delays, start.command, rate_s)
 
 
-def lag_with_feedback_s(delays: LoopDelays, command_gain: float) -> float:
-    """The lag of u = (1 - r) angle + r command around an actuator: its slow signals are (dead time + lag) / r late.
+def lag_with_feedback_s(delays: LoopDelays, command_gain: float, rate_gain_s: float = 0.0) -> float:
+    """The lag of u = (1 - r) angle + rate_gain rate + r command around an actuator.
 
-    The measured angle comes one dead time late, so a gain r above 1 takes from the dead time too, and one below adds.
+    Its slow signals are (dead time + lag - rate gain) / r late. The measured angle comes one dead time late, so a gain
+    r above 1 takes from the dead time too, and one below adds.
     """
     dead_s = delays.steer_dead_time_s + delays.bus_s
-    return max((dead_s + delays.steer_lag_s) / command_gain - dead_s, 0.0)
+    return max((dead_s + delays.steer_lag_s - rate_gain_s) / command_gain - dead_s, 0.0)
 
 
 CONTROLLER = Recipe(make, tunables_of("mrac."), loop_lag_s)

@@ -18,13 +18,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.contracts import Block, Tunable
-from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.kernel import buffer, kernel
 from tunefree_hil.base.maths import clamp
 from tunefree_hil.control.contract import InnerAnswer, Recipe, Setup
 from tunefree_hil.control.inner.mrac import ADAPT_ABOVE_MPS, beyond, bounded, lag_with_feedback_s
 from tunefree_hil.control.limits import SteerBound, steer_bound, steer_bound_of
-from tunefree_hil.control.mrac_needs import require_needs
+from tunefree_hil.control.mrac_model import require_time_constant
+from tunefree_hil.control.mrac_needs import require_first_order, require_needs
 from tunefree_hil.control.parameters import tunables_of
 
 # Normalised gradient: the published box of mrac.p, 1e-4 to 0.1, adapts in 250 s to 0.25 s. With 0.1 s, as long as a
@@ -72,11 +72,9 @@ def make(setup: Setup) -> Block:
     enable = 1.0 if values["mrac.enable"] >= 0.5 else 0.0
     if enable:
         require_needs(setup, delays.steer_lag_s)
+        require_first_order(setup)
     t_ref_s = values["mrac.t_ref_s"]
-    if t_ref_s <= 0.0:
-        raise InputError(
-            f"mrac.t_ref_s = {t_ref_s} is no time constant", code="bad_mrac", key="mrac.t_ref_s", hint="give it above 0"
-        )
+    require_time_constant(t_ref_s)
     ratio = delays.steer_lag_s / t_ref_s
     params = MracRobustParams(
         enable=enable,

@@ -12,8 +12,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def draw_importance(importances: Mapping[str, Importance]) -> Figure:
-    """Draw bars, the most important on top: shares, or absolute rank correlations where there are no shares."""
+def draw_importance(importances: Mapping[str, Importance], objective: str = "score") -> Figure:
+    """Draw bars, the most important on top: shares, or absolute rank correlations where there are no shares.
+
+    objective: What the importance is for.
+    """
     names = list(importances)
     n = importances[names[0]].n
     by_share = all(importance.share is not None for importance in importances.values())
@@ -29,9 +32,10 @@ def draw_importance(importances: Mapping[str, Importance]) -> Figure:
         axes.text(length, row, bar_text, va="center", fontsize=style.FONT_PT - 2.0, color=style.INK)
     longest = max((entry.share or 0.0) if by_share else abs(entry.rank) for entry in importances.values())
     axes.set_xlim(0.0, 1.9 * (longest or 1.0))
-    label = "share of importance (PED-ANOVA)" if by_share else "|rank correlation| (too few trials for shares)"
+    label = "share of importance (PED-ANOVA)" if by_share else "|rank correlation| (no shares from these trials)"
     style.dress(axes, label, "")
     style.name_bars(axes, names)
     axes.tick_params(axis="y", labelsize=style.FONT_PT)
-    style.headline(figure, f"Importance of the parameters, from {n} trials")
+    purpose = "" if objective == "score" else f" for {objective}"
+    style.headline(figure, f"Importance of the parameters{purpose}, from {n} trials")
     return figure

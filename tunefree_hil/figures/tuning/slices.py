@@ -18,7 +18,11 @@ MAX_SCORE_RATIO = 3.0  # of the larger one of winner's and manual score: points 
 
 
 class ParameterSlice(NamedTuple):
-    """One parameter across its range; score None where the bench failed. flag: a remark about the winner's value."""
+    """One parameter across its range; score None where the bench failed.
+
+    flag: A remark about the winner's value.
+    choices: The values have no order: they are drawn side by side, without a line.
+    """
 
     values: Sequence[float]
     scores: Sequence[float | None]
@@ -26,10 +30,27 @@ class ParameterSlice(NamedTuple):
     log: bool
     unit: str = ""
     flag: str = ""
+    choices: bool = False
+
+    def by_place(self) -> ParameterSlice:
+        """The slice of choices with their places, 0, 1, ..., instead of their values."""
+        values = sorted({*self.values, self.winner})
+        places = [float(values.index(value)) for value in self.values]
+        return self._replace(values=places, winner=float(values.index(self.winner)), log=False)
 
 
-def draw_slices(slices: Mapping[str, ParameterSlice], best: float, manual: float, title: str) -> Figure:
-    """Draw one panel a parameter, each with its own scale; best, manual: score of the winner and best manual score."""
+def draw_slices(
+    slices: Mapping[str, ParameterSlice], best: float, manual: float, title: str, objective: str = "score"
+) -> Figure:
+    """Draw one panel a parameter, each with its own scale.
+
+    Args:
+        slices: By parameter.
+        best: Score of the winner.
+        manual: Best manual score.
+        title: Headline of the figure.
+        objective: What the scores are.
+    """
     columns = min(COLUMNS, len(slices))
     rows = math.ceil(len(slices) / columns)
     figure = style.new_figure(max(7.0, 4.2 * columns), 1.6 + 3.3 * rows)
@@ -38,7 +59,7 @@ def draw_slices(slices: Mapping[str, ParameterSlice], best: float, manual: float
         axes = figure.add_subplot(rows, columns, i + 1)
         _draw_slice(axes, parameter_slice, best, manual, top)
         label = style.with_unit(name, parameter_slice.unit)
-        style.dress(axes, label, "score" if i % columns == 0 else "", parameter_slice.flag)
+        style.dress(axes, label, objective if i % columns == 0 else "", parameter_slice.flag)
         if i == 0:
             style.legend_below(figure, axes, 2 if columns < COLUMNS else 4)
     style.headline(figure, title)
@@ -49,13 +70,19 @@ def _draw_slice(axes: Axes, parameter_slice: ParameterSlice, best: float, manual
     """Draw the slice, the winner and the manual score; points above the top are triangles at the top."""
     from matplotlib.ticker import LogLocator
 
+    if parameter_slice.choices:
+        labels = [style.number(value) for value in sorted({*parameter_slice.values, parameter_slice.winner})]
+        axes.set_xticks(range(len(labels)), labels)
+        axes.set_xlim(-0.5, len(labels) - 0.5)
+        parameter_slice = parameter_slice.by_place()
     pairs = zip(parameter_slice.values, parameter_slice.scores, strict=True)
     known = sorted((value, score) for value, score in pairs if score is not None)
     line = sorted([*known, (parameter_slice.winner, best)])
     if parameter_slice.log:
         axes.set_xscale("log")
     look = style.OTHERS[0]
-    axes.plot([v for v, _ in line], [min(s, top) for _, s in line], color=look.colour, linewidth=2.0, zorder=2)
+    if not parameter_slice.choices:
+        axes.plot([v for v, _ in line], [min(s, top) for _, s in line], color=look.colour, linewidth=2.0, zorder=2)
     inside = [(v, s) for v, s in known if s <= top]
     axes.plot([v for v, _ in inside], [s for _, s in inside], "s", color=look.colour, label="winner, one value changed")
     above = [v for v, s in known if s > top]

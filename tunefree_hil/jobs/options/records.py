@@ -61,7 +61,13 @@ class TuneOptions(NamedTuple):
         str | None,
         Option("parameters to tune; default: as in the bench file", "--set", choices=("mrac", "lateral", "complete")),
     ] = None
-    sampler: Annotated[str | None, Option("tpe_independent, tpe_relative, tpe_cma or random")] = None
+    sampler: Annotated[
+        str | None,
+        Option(
+            "auto, gp_ei, gp_ucb, gp_me, tpe_independent, tpe_relative, cma, tpe_cma, nsga, qmc or random "
+            "(docs/reference/samplers.md)"
+        ),
+    ] = None
     seed: Seed = None
     scale: Annotated[
         str | None, Option("scale of the search, default: log; the paper uses linear", choices=("log", "linear"))
@@ -89,6 +95,14 @@ class TuneOptions(NamedTuple):
     controller: Controller = ""
     confirm: Annotated[
         int | None, Option("trials of a batch to confirm over the bus; default: 3", metavar="K", minimum=1)
+    ] = None
+    objectives: Annotated[
+        str | None,
+        Option(
+            "tracking,comfort: search both, the best trade wins; score: their weighted sum; default: as in the bench "
+            "file",
+            choices=("score", "tracking,comfort"),
+        ),
     ] = None
 
 
@@ -166,6 +180,15 @@ class ExplainOptions(NamedTuple):
     run: RunPath
     points: Annotated[int, Option("points of each slice through the winner", minimum=3, maximum=101)] = 9
     slices: Annotated[bool, Option("drive slices through the winner", "--slices/--no-slices")] = True
+
+
+class ExportOptions(NamedTuple):
+    """Options of `export`. source: run of a tune, or a bench file; set_name: None for the winner, or its own values."""
+
+    source: Annotated[Path, Argument("run folder of a tune, or a bench file", metavar="RUN|BENCH")]
+    target: Annotated[str, Option("the stack to write for", "--to", choices=("apollo", "autoware"))]
+    out: Annotated[Path, Option("folder to write; it must be new or empty")]
+    set_name: Annotated[str | None, Option("a manual set, or 'tuned', instead of the default", "--set")] = None
 
 
 class CommissionOptions(NamedTuple):

@@ -10,6 +10,7 @@ import numpy as np
 
 from tunefree_hil.bench import Bench, follower_of
 from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.control.mpc.plan import SolveCounts, plan_failure_text
 from tunefree_hil.episode.candump import read_candump
 from tunefree_hil.episode.columns import columns_from_placed, place_vehicle
 from tunefree_hil.episode.frame_hash import hash_of
@@ -87,6 +88,7 @@ def evaluation_from_episodes(episodes: Mapping[str, EpisodeResult]) -> Evaluatio
 
 ROLES = ("ecu", "controller")
 RECEPTION_KEY = "_heard_"
+PLANS_KEY = "controller_plans_"
 
 
 def reception_warnings(episode: Path) -> list[str]:
@@ -105,3 +107,18 @@ def reception_warnings(episode: Path) -> list[str]:
         for name, row in sorted(rows.items())
         if name.startswith(role + RECEPTION_KEY)
     ]
+
+
+def plan_counts(episode: Path) -> dict[str, SolveCounts]:
+    """Counts of the controller's optimisers in an episode's timing.npz, by part; empty where none planned."""
+    file = episode / "timing.npz"
+    if not file.is_file():
+        return {}
+    with np.load(file, allow_pickle=False) as data:
+        names = [name for name in data.files if name.startswith(PLANS_KEY)]
+        return {name.removeprefix(PLANS_KEY): SolveCounts(*map(int, data[name])) for name in names}
+
+
+def plan_warnings(episode: Path) -> list[str]:
+    """A text for each part whose optimiser was without a solution at some tick."""
+    return [plan_failure_text(name, counts) for name, counts in plan_counts(episode).items() if counts.failed]

@@ -11,12 +11,13 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.grade.requirements.judgement import measure_violation
 from tunefree_hil.jobs.progress import count_data
-from tunefree_hil.jobs.tune.evaluators import BusEvaluator, VectorCandidate
+from tunefree_hil.jobs.tune.evaluators import BusEvaluator, VectorCandidate, with_objectives
 from tunefree_hil.jobs.tune.margins import Vectors
 from tunefree_hil.jobs.tune.robustness import RobustnessResult
 from tunefree_hil.tune.compare import find_best_baseline
 from tunefree_hil.tune.ensemble import has_ensemble, nominal_drives, nominal_score, with_drives_over_bus
 from tunefree_hil.tune.journal import Journal, slot_key
+from tunefree_hil.tune.pareto import with_trades
 from tunefree_hil.tune.trial import Baseline, Trial, find_best_trial
 
 MAX_NAMED_DIFFERENCES = 3  # in one line
@@ -90,16 +91,20 @@ class ConfirmedStudy:
 
     def _confirmed(self, trial: Trial) -> Trial | None:
         key = slot_key(trial.slot)
-        return trial._replace(**self._values_over_bus(key, trial)) if key in self._over_bus else None
+        if key not in self._over_bus:
+            return None
+        confirmed = trial._replace(**self._values_over_bus(key, trial))
+        return with_trades([confirmed], self.baselines())[0] if self.settings.objectives else confirmed
 
     def _values_over_bus(self, key: str, batch: Trial | Baseline) -> dict[str, Any]:
-        """Score, scenarios and violation of a candidate. Only the batch drives the other cars of an ensemble."""
+        """Score, objectives, scenarios and violation. Only the batch drives the other cars of an ensemble."""
         bus = self._over_bus[key]
         if has_ensemble(batch.scenarios):
             scenarios = with_drives_over_bus(batch.scenarios, bus.scenarios)
             return {"scenarios": scenarios, "violation": measure_violation(scenarios, self.settings.requirements)}
         violation = measure_violation(bus.scenarios, self.settings.requirements)
-        return {"score": bus.score, "scenarios": bus.scenarios, "violation": violation}
+        scored = {"score": bus.score, "objectives": bus.objectives}
+        return {**scored, "scenarios": bus.scenarios, "violation": violation}
 
 
 def find_differences(batch: Mapping[str, Any], bus: Mapping[str, Any]) -> tuple[str, ...]:
@@ -144,7 +149,7 @@ def confirm_over_bus(
         except BenchError as error:
             yield Event("warning", f"{key} failed over the bus and is driven again: {error.message}")
             (evaluation,) = evaluator.evaluate([candidate])
-        journal.store_confirmation(key, evaluation)
+        journal.store_confirmation(key, with_objectives(evaluation, bench, journal.settings.objectives))
         score = ConfirmedStudy(journal).scores()[key]
         data = count_data("confirm", done, len(missing), started) | evaluator.pace
         message = f"{key}: batch {score.batch:.6f}, bus {score.bus:.6f}, {score.verdict}"

@@ -13,6 +13,7 @@ from tunefree_hil.bench import Bench
 from tunefree_hil.bench.batch import Batch, Driven, Job
 from tunefree_hil.bus.bench_channel import ErrorCode
 from tunefree_hil.config.schema import ScenarioSpec
+from tunefree_hil.grade.objectives import measure_objectives
 from tunefree_hil.grade.score import GRADED_ENDS, ScenarioGrade, combine_scores
 from tunefree_hil.jobs.run_folder import delete_logs
 from tunefree_hil.jobs.running.episode_results import EpisodeResult, evaluation_from_episodes
@@ -48,6 +49,13 @@ class Evaluator(Protocol):
     def pace(self) -> dict[str, float]: ...
 
     def evaluate(self, candidates: Sequence[VectorCandidate]) -> list[Evaluation]: ...
+
+
+def with_objectives(evaluation: Evaluation, bench: Bench, objectives: Sequence[str]) -> Evaluation:
+    """The evaluation with the objectives of its drives; unchanged where the evaluator has measured them itself."""
+    if evaluation.error or evaluation.objectives or not objectives:
+        return evaluation
+    return evaluation._replace(objectives=measure_objectives(evaluation.scenarios, bench.weights, objectives))
 
 
 class RealtimeDriver:

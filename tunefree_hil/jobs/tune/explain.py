@@ -9,7 +9,9 @@ from tunefree_hil.base.errors import InputError
 from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, load, parameters_of
 from tunefree_hil.bench.batch import Batch, Job
+from tunefree_hil.config.schema import WeightsSpec
 from tunefree_hil.grade.difference import ScoreDifference, score_difference
+from tunefree_hil.grade.objectives import measure_objectives
 from tunefree_hil.grade.requirements.judgement import judge_drives
 from tunefree_hil.grade.score import combine_scores
 from tunefree_hil.jobs.options.records import ExplainOptions
@@ -18,6 +20,16 @@ from tunefree_hil.jobs.tune.candidates import TUNED, parameter_unit
 from tunefree_hil.jobs.tune.margins import find_batch_obstacle
 from tunefree_hil.jobs.tune.verdict.best_file import read_best
 from tunefree_hil.jobs.tune.verdict.text import requirement_table
+from tunefree_hil.jobs.tune.verdict.trade import (
+    FIGURE,
+    TradedTrials,
+    draw_trade,
+    read_traded,
+    split_scores,
+    trade_data,
+    trade_table,
+    trade_text,
+)
 from tunefree_hil.tune.compare import find_best_baseline
 from tunefree_hil.tune.insight import (
     Edge,
@@ -43,6 +55,10 @@ class StudyAnalysis(NamedTuple):
     """Analysis of the study of a run, without further drives. manual: the best baseline.
 
     judged: `RequirementJudgement.as_data` of winner and manual set, by the requirements of the study.
+    objectives: Those of the study; empty where the score is the only one.
+    objective_importance: Importance of the parameters by objective; empty without objectives.
+    traded: The trials with their objectives, which are the parts of the score where the study has none; None where the
+        stored grades do not tell them, for the reason `untold`.
     """
 
     space: Space
@@ -53,16 +69,28 @@ class StudyAnalysis(NamedTuple):
     importance: dict[str, Importance]
     edges: list[str]
     judged: Mapping[str, Mapping[str, Any]]
+    objectives: tuple[str, ...] = ()
+    objective_importance: Mapping[str, dict[str, Importance]] = {}
+    traded: TradedTrials | None = None
+    untold: str = ""
+
+
+class VectorScore(NamedTuple):
+    """The score of a vector over all scenarios, and its objectives in a study of several."""
+
+    score: float
+    objectives: tuple[float, ...] = ()
 
 
 class SliceScores(NamedTuple):
     """A slice: values of one parameter, and the score of the winner with each; None where the bench failed.
 
-    Stored under its field names.
+    objectives: The same for each objective by name, in a study of several. Stored under its field names.
     """
 
     values: list[float]
     scores: list[float | None]
+    objectives: Mapping[str, list[float | None]] = {}
 
     def valid_points(self) -> list[tuple[float, float]]:
         """(score, value) of the points with a score."""
@@ -98,6 +126,8 @@ def explain(options: ExplainOptions) -> Iterator[Event]:
     analysis = analyse_study(folder, bench)
     winner = analysis.winner
     yield from (Event("line", line) for line in format_analysis(analysis))
+    if analysis.untold:
+        yield Event("note", f"no picture of tracking against comfort: {analysis.untold}")
     slice_scores: dict[str, SliceScores] = {}
     obstacle = find_batch_obstacle(bench, folder.record.get(JOINED)) if options.slices else ""
     if obstacle:
@@ -106,7 +136,7 @@ def explain(options: ExplainOptions) -> Iterator[Event]:
         total = sum(len(choose_slice_points(axis, points)) for axis in analysis.space.axes)
         drives = (total + 1) * len(bench.spec.scenarios)
         yield Event("note", f"slices through the winner: {total} sets of parameters, {drives} drives in the batch")
-        slice_scores, batch_score = drive_slices(bench, analysis.space, winner.parameters, points)
+        slice_scores, batch_score = drive_slices(bench, analysis.space, winner.parameters, points, analysis.objectives)
         yield from (Event("line", line) for line in format_slices(slice_scores, winner.score))
         if batch_score is not None and batch_score != winner.score:
             yield Event("warning", f"the winner scores {batch_score!r} in the batch, {winner.score!r} in the study")
@@ -127,7 +157,8 @@ def analyse_study(folder: RunFolder, bench: Bench) -> StudyAnalysis:
         raise InputError("has no study.db", code="no_study", file=str(folder.path), hint=hint)
     with read_study(path) as study:
         trials, baselines, space = study.trials(), study.baselines(), study.settings.space
-        limits = study.settings.requirements
+        limits, objectives = study.settings.requirements, study.settings.objectives
+        traded, untold = (read_traded(study), "") if objectives else _split(trials, baselines, bench.weights)
     winner = next((trial for trial in trials if trial.slot == slot), None)
     if winner is None:
         raise InputError(f"has no trial of slot {slot}, which best.toml names", code="no_winner", file=str(path))
@@ -145,13 +176,37 @@ def analyse_study(folder: RunFolder, bench: Bench) -> StudyAnalysis:
             label: judge_drives(drives, limits).as_data()
             for label, drives in ((TUNED, winner.scenarios), (name, manual.scenarios))
         },
+        objectives=objectives,
+        objective_importance={
+            objective: compute_importance(space, [trial._replace(score=trial.objectives[i]) for trial in trials])
+            for i, objective in enumerate(objectives)
+        },
+        traded=traded,
+        untold=untold,
     )
 
 
+def _split(
+    trials: Sequence[Trial], baselines: Mapping[str, Baseline], weights: WeightsSpec
+) -> tuple[TradedTrials | None, str]:
+    """The trials of a search by the score with the parts of it, or the reason why there are none."""
+    try:
+        return split_scores(trials, baselines, weights), ""
+    except InputError as error:
+        return None, error.message
+
+
 def drive_slices(
-    bench: Bench, space: Space, winner: Mapping[str, float], points: int
+    bench: Bench, space: Space, winner: Mapping[str, float], points: int, objectives: Sequence[str] = ()
 ) -> tuple[dict[str, SliceScores], float | None]:
     """Score the winner with one value changed, for all parameters and points of their slices.
+
+    Args:
+        bench: The bench of the search.
+        space: Its parameters.
+        winner: Values of the winner.
+        points: Number of points of a slice.
+        objectives: Names of the objectives of the study.
 
     Returns:
         The slices by parameter, and the score of the unchanged winner in the batch.
@@ -159,24 +214,36 @@ def drive_slices(
     values = {axis.name: choose_slice_points(axis, points) for axis in space.axes}
     vectors = [dict(winner)]
     vectors += [{**winner, name: value} for name, slice_values in values.items() for value in slice_values]
-    scores = score_vectors(bench, [parameters_of(bench, vector) for vector in vectors])
+    scored = score_vectors(bench, [parameters_of(bench, vector) for vector in vectors], objectives)
     slices, start = {}, 1
     for name, slice_values in values.items():
-        slices[name] = SliceScores(slice_values, scores[start : start + len(slice_values)])
+        chosen = scored[start : start + len(slice_values)]
+        slices[name] = SliceScores(
+            slice_values,
+            [point and point.score for point in chosen],
+            {objective: [point and point.objectives[i] for point in chosen] for i, objective in enumerate(objectives)},
+        )
         start += len(slice_values)
-    return slices, scores[0]
+    return slices, scored[0] and scored[0].score
 
 
-def score_vectors(bench: Bench, vectors: Sequence[Mapping[str, float]]) -> list[float | None]:
+def score_vectors(
+    bench: Bench, vectors: Sequence[Mapping[str, float]], objectives: Sequence[str] = ()
+) -> list[VectorScore | None]:
     """Scores (paper, eq. 7) of complete vectors in the batch, over all scenarios; None where the bench failed one."""
     scenarios = [bench.scenarios[name] for name in bench.spec.scenarios]
     with Batch(bench, bench.spec.model) as batch:
         drives = batch.drive([Job(vector, scenario) for vector in vectors for scenario in scenarios])
-    scores: list[float | None] = []
+    scores: list[VectorScore | None] = []
     for i in range(0, len(drives), len(scenarios)):
         grades = [drive.grade for drive in drives[i : i + len(scenarios)]]
-        valid = [grade for grade in grades if grade is not None]
-        scores.append(combine_scores(valid) if len(valid) == len(grades) else None)
+        valid = {grade.scenario: grade for grade in grades if grade is not None}
+        if len(valid) < len(grades):
+            scores.append(None)
+            continue
+        data = {name: grade._asdict() for name, grade in valid.items()}
+        parts = measure_objectives(data, bench.weights, objectives)
+        scores.append(VectorScore(combine_scores(list(valid.values())), parts))
     return scores
 
 
@@ -243,13 +310,22 @@ def format_analysis(analysis: StudyAnalysis) -> list[str]:
     lines.append("largest differences:")
     for scenario, term, value in sort_differences(difference)[:MAX_NAMED_TERMS]:
         lines.append(f"  {scenario}, {term}: {value:+.4f}")
-    n = next(iter(analysis.importance.values())).n
-    lines.append(f"importance of the parameters (PED-ANOVA and rank correlation, n = {n} trials):")
-    for name, importance in analysis.importance.items():
+    lines += _importance_lines(analysis.importance, "")
+    for objective, importance in analysis.objective_importance.items():
+        lines += _importance_lines(importance, f" for {objective}")
+    lines += analysis.edges or ["no value of the winner is on an edge of its range"]
+    if analysis.traded is not None:
+        lines += trade_table(trade_data(analysis.traded, winner.slot))
+    return lines + requirement_table(analysis.judged)
+
+
+def _importance_lines(importances: Mapping[str, Importance], purpose: str) -> list[str]:
+    n = next(iter(importances.values())).n
+    lines = [f"importance of the parameters{purpose} (PED-ANOVA and rank correlation, n = {n} trials):"]
+    for name, importance in importances.items():
         share = "too few trials" if importance.share is None else f"{100.0 * importance.share:5.1f} %"
         lines.append(f"  {name:<28}{share:>9}  rank correlation {importance.rank:+.2f}")
-    lines += analysis.edges or ["no value of the winner is on an edge of its range"]
-    return lines + requirement_table(analysis.judged)
+    return lines
 
 
 def summarise_analysis(analysis: StudyAnalysis) -> str:
@@ -265,13 +341,21 @@ def summarise_analysis(analysis: StudyAnalysis) -> str:
         text += ", it is worse" if is_worse else ""
         text += ", mostly by "
         text += " and ".join(f"{cause.term} in {cause.scenario} ({cause.difference:+.3f})" for cause in causes)
+    if analysis.objectives and analysis.traded is not None:
+        text += f"; {trade_text(trade_data(analysis.traded, analysis.winner.slot))}"
     if analysis.edges:
         text += f"; {'; '.join(analysis.edges)}"
     return text
 
 
 def _data(analysis: StudyAnalysis, slices: Mapping[str, SliceScores]) -> dict[str, Any]:
+    by_objective = {
+        objective: {name: importance._asdict() for name, importance in importances.items()}
+        for objective, importances in analysis.objective_importance.items()
+    }
     return {
+        **({"objective_importance": by_objective} if by_objective else {}),
+        **({} if analysis.traded is None else {"trade": trade_data(analysis.traded, analysis.winner.slot)}),
         "manual": {"name": analysis.manual_name, "score": analysis.manual.score},
         "winner": {
             "slot": analysis.winner.slot,
@@ -296,13 +380,29 @@ def _write_figures(folder: RunFolder, analysis: StudyAnalysis, slices: Mapping[s
     title = f"Winner against {analysis.manual_name}: score {analysis.manual.score:.3f} -> {analysis.winner.score:.3f}"
     written = [save(draw_heat(analysis.difference.terms, title), figures / "difference.png")]
     written.append(save(draw_importance(analysis.importance), figures / "importance.png"))
-    if slices:
-        panels = {axis.name: _slice_panel(axis, slices[axis.name], analysis.winner) for axis in analysis.space.axes}
-        heading = "One parameter changed at a time, the others as in the winner"
-        written.append(
-            save(draw_slices(panels, analysis.winner.score, analysis.manual.score, heading), figures / "slices.png")
-        )
+    for objective, importance in analysis.objective_importance.items():
+        written.append(save(draw_importance(importance, objective), figures / f"importance_{objective}.png"))
+    if analysis.traded is not None:
+        data = trade_data(analysis.traded, analysis.winner.slot)
+        written.append(draw_trade(analysis.traded, data, figures / FIGURE))
+    heading = "One parameter changed at a time, the others as in the winner"
+    for i, objective in enumerate(["score", *analysis.objectives] if slices else []):
+        panels = {
+            axis.name: _slice_panel(axis, _slice_of_objective(slices[axis.name], objective), analysis.winner)
+            for axis in analysis.space.axes
+        }
+        best, manual = ((scored.score, *scored.objectives)[i] for scored in (analysis.winner, analysis.manual))
+        name = "slices.png" if objective == "score" else f"slices_{objective}.png"
+        label = objective if objective == "score" else f"{objective} cost"
+        written.append(save(draw_slices(panels, best, manual, heading, label), figures / name))
     return [str(path) for path in written]
+
+
+def _slice_of_objective(slice_scores: SliceScores, objective: str) -> SliceScores:
+    """The slice with an objective as its scores."""
+    if objective == "score":
+        return slice_scores
+    return SliceScores(slice_scores.values, slice_scores.objectives[objective])
 
 
 def _slice_panel(axis: Axis, slice_scores: SliceScores, winner: Trial) -> ParameterSlice:
@@ -310,4 +410,12 @@ def _slice_panel(axis: Axis, slice_scores: SliceScores, winner: Trial) -> Parame
 
     value, edge = winner.parameters[axis.name], find_edge(axis, winner.parameters[axis.name])
     remark = "" if edge is Edge.NONE else f"on the {edge} edge of its range"
-    return ParameterSlice(*slice_scores, value, axis.log, parameter_unit(axis.name), remark)
+    return ParameterSlice(
+        values=slice_scores.values,
+        scores=slice_scores.scores,
+        winner=value,
+        log=axis.log,
+        unit=parameter_unit(axis.name),
+        flag=remark,
+        choices=axis.choices,
+    )

@@ -51,6 +51,8 @@ def open_run_folder(plan: TunePlan) -> Iterator[tuple[RunFolder, bool]]:
             "bench": str(plan.bench_file),
             "hashes": plan.identity["hashes"],
         }
+        if plan.sampler_choice is not None:
+            record["sampler_choice"] = plan.sampler_choice._asdict()
 
         def prepare(path: Path) -> None:
             stack.enter_context(exclusive_lock(path / LOCK))  # before another worker can open it

@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import InputError
 from tunefree_hil.bench import Bench, load, parameters_of, require_buildable
+from tunefree_hil.bench.user_kernels import require_kernel_parts
 from tunefree_hil.control.parameters import BoxChoice
+from tunefree_hil.grade.objectives import choose_objectives
 from tunefree_hil.grade.requirements.limits import RequirementLimits, requirement_limits, search_limits
 from tunefree_hil.jobs.command_text import changed_options, shell_command
 from tunefree_hil.jobs.drive import new_session_name
@@ -20,6 +22,14 @@ from tunefree_hil.jobs.running.node_links import resolve_vehicle_bus
 from tunefree_hil.jobs.running.session import choose_lane_count
 from tunefree_hil.jobs.tune.candidates import compute_baseline_vectors, has_foreign_controller, select_first_vector
 from tunefree_hil.tune.baselines import list_further_starts, make_first_trial
+from tunefree_hil.tune.sampling import AUTO
+from tunefree_hil.tune.sampling.automatic_choice import (
+    SamplerChoice,
+    SearchTask,
+    choose_sampler,
+    describe_choice,
+    has_learn_modules,
+)
 from tunefree_hil.tune.shared.server import parse_address
 from tunefree_hil.tune.space import Space, resolve_space
 from tunefree_hil.tune.store import REQUIREMENTS, StudySettings, check_settings
@@ -38,6 +48,7 @@ class TunePlan(NamedTuple):
     vectors: Baselines by name.
     study_address: Of a shared study, without the password; '' for a study in the run folder.
     command: The same command again, for a shell.
+    sampler_choice: How `auto` was resolved; None where the sampler was named, or the run that is resumed has it.
     """
 
     options: TuneOptions
@@ -51,6 +62,7 @@ class TunePlan(NamedTuple):
     session: str
     study_address: str
     command: str
+    sampler_choice: SamplerChoice | None = None
 
     @property
     def run_record(self) -> dict[str, Any]:
@@ -71,6 +83,13 @@ class TunePlan(NamedTuple):
         return int(self.options.confirm or DEFAULTS["confirm"])
 
     @property
+    def sampler_text(self) -> str:
+        """How `auto` was resolved, in words; '' where it was not."""
+        if self.sampler_choice is None:
+            return ""
+        return describe_choice(self.sampler_choice, _search_task(self.options, self.settings, self.trials))
+
+    @property
     def stored_options(self) -> dict[str, Any]:
         """The options in run.json that `--resume` keeps where the command does not give them."""
         options, settings = self.options, self.settings
@@ -82,6 +101,7 @@ class TunePlan(NamedTuple):
             "scale": options.scale,
             "verify": options.verify,
             "confirm": options.confirm,
+            **({"objectives": options.objectives} if options.objectives else {}),
         }
 
 
@@ -103,7 +123,10 @@ def make_tune_plan(options: TuneOptions) -> TunePlan:
     require_foreign_controller(bench, space.names, join=options.join)
     identity = compute_identity(bench, bench.spec.model, [bench.scenarios[name] for name in bench.spec.scenarios])
     benches = _benches(options)
+    trials = options.trials or bench.spec.tune.trials
     settings = _study_settings(bench, options, space, vectors, identity["identity"])
+    choice = choose_sampler(_search_task(options, settings, trials)) if settings.sampler == AUTO else None
+    settings = settings._replace(sampler=choice.sampler if choice else settings.sampler)
     check_settings(settings)  # before there is a run folder, which could not be resumed
     study_address = f"{address.public}#{address.name}" if address else ""
     return TunePlan(
@@ -113,11 +136,12 @@ def make_tune_plan(options: TuneOptions) -> TunePlan:
         settings=settings,
         identity=identity,
         vectors=vectors,
-        trials=options.trials or bench.spec.tune.trials,
+        trials=trials,
         benches=benches,
         session=session,
         study_address=study_address,
         command=format_command(options._replace(bench=bench_file), study_address),
+        sampler_choice=choice,
     )
 
 
@@ -134,7 +158,27 @@ def _study_settings(
         in_flight=_in_flight(bench, options, _benches(options)),
         requirements=_requirements(bench, options),
         starts=list_further_starts(space, vectors, first) if bench.spec.tune.starts == "manual" else (),
+        objectives=_objectives(bench, options),
+        kappa_w=bench.spec.tune.kappa_w,
     )
+
+
+def _search_task(options: TuneOptions, settings: StudySettings, trials: int) -> SearchTask:
+    """What `auto` chooses by. The workers of a shared study must choose the same, with torch or without."""
+    return SearchTask(
+        trials=trials,
+        parameters=len(settings.space.axes),
+        objectives=max(1, len(settings.objectives)),
+        is_batch=options.backend == BATCH,
+        has_requirements=bool(settings.requirements),
+        has_torch=not options.study and has_learn_modules(),
+    )
+
+
+def _objectives(bench: Bench, options: TuneOptions) -> tuple[str, ...]:
+    """The objectives of the search: those of the command, else of the bench file; empty for the score alone."""
+    named = options.objectives.split(",") if options.objectives else bench.spec.tune.objectives
+    return choose_objectives([] if named == ["score"] else named, bench.weights, bench.file)
 
 
 def _find_bench_file(options: TuneOptions) -> Path:
@@ -154,12 +198,13 @@ def _restore_options(options: TuneOptions) -> TuneOptions:
     A run of an earlier version has no `options` in run.json.
     """
     record = _read_tune_record(options.resume) if options.resume else {}
-    not_given, stored = TuneOptions._field_defaults, record.get(OPTIONS, {})
+    not_given, settings = TuneOptions._field_defaults, record.get("settings", {})
+    stored = {"sampler": settings.get("sampler"), **record.get(OPTIONS, {})}
     return options._replace(
         **{name: value for name, value in stored.items() if getattr(options, name) == not_given[name]},
         backend=record.get("backend", options.backend),
         realtime=record.get("realtime", options.realtime),
-        in_flight=record.get("settings", {}).get("in_flight", options.in_flight),
+        in_flight=settings.get("in_flight", options.in_flight),
     )
 
 
@@ -271,6 +316,8 @@ def _require_buildable(bench: Bench, options: TuneOptions, space: Space) -> None
         values["mrac.enable"] = 1.0
     scenarios = [bench.scenarios[name] for name in spec.scenarios]
     require_buildable(bench, spec.model, scenarios, values, realtime=options.realtime)
+    if options.backend == BATCH:
+        require_kernel_parts(bench)
     if options.backend == BATCH and spec.controller.command:
         message, hint = "the batch has only our controller", "leave out --backend batch"
         raise InputError(message, code="usage", file=bench.file, key="controller.command", hint=hint)

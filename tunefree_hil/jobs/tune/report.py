@@ -19,12 +19,14 @@ from tunefree_hil.jobs.tune.confirm import ConfirmedStudy
 from tunefree_hil.jobs.tune.robustness import RobustnessResult, robustness_data, robustness_table, robustness_text
 from tunefree_hil.jobs.tune.verdict.best_file import PARAMETERS, DrivenOn, write_best
 from tunefree_hil.jobs.tune.verdict.text import requirement_table, road_oscillation_text
+from tunefree_hil.jobs.tune.verdict.trade import FIGURE, draw_trade, read_traded, trade_data, trade_table, trade_text
 from tunefree_hil.tune.compare import BestBaseline, find_best_baseline
 from tunefree_hil.tune.insight import Edge, find_edge
 from tunefree_hil.tune.journal import slot_key
 from tunefree_hil.tune.trial import ScoredStudy, Trial
 
 EXIT_DIFFERENT = 1  # exit status
+TRADE = "trade"  # key of the data of a study of several objectives
 
 
 class TuneReport(NamedTuple):
@@ -70,6 +72,10 @@ def write_tune_report(
         "figures": _write_figures(bench, run, study, winner, manual.name),
         **decided.as_data(),
     }
+    if study.settings.objectives:
+        traded = read_traded(study)
+        data[TRADE] = trade_data(traded, winner.slot)
+        data["figures"].append(str(draw_trade(traded, data[TRADE], run.figures() / FIGURE)))
     report = TuneReport(_lines(study, winner, data), _sentence(study, winner, manual, data), data, decided)
     return report if confirmed is None else _add_confirmation(report, confirmed, winner)
 
@@ -86,6 +92,7 @@ def _lines(study: ScoredStudy, winner: Trial, data: Mapping[str, Any]) -> list[s
     rows: dict[str, GradesByScenario] = {name: baseline.scenarios for name, baseline in study.baselines().items()}
     lines = candidate_table({TUNED: winner.scenarios, **rows}, {TUNED: winner.score, **data["baselines"]})
     lines += requirement_table({TUNED: data["requirements"], **data["manual_requirements"]})
+    lines += trade_table(data[TRADE]) if TRADE in data else []
     lines += robustness_table(data["held"])
     edges = data["on_edge"]
     return lines + ([f"the winner is on an edge of its range: {', '.join(edges)}"] if edges else [])
@@ -96,7 +103,8 @@ def _sentence(study: ScoredStudy, winner: Trial, manual: BestBaseline, data: Map
     grades = study.baselines()[manual.name].scenarios
     compared = comparison_text(manual.name, grades, winner.scenarios, (manual.score, winner.score))
     swing = road_oscillation_text(winner.scenarios)
-    parts = (compared, swing, robustness_text(data["held"]), describe_outside(data["outside"]))
+    trade = trade_text(data[TRADE]) if TRADE in data else ""
+    parts = (compared, trade, swing, robustness_text(data["held"]), describe_outside(data["outside"]))
     return f"{values}: {'; '.join(part for part in parts if part)}"
 
 

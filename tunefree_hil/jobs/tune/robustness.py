@@ -22,6 +22,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench import Bench, parameters_of
 from tunefree_hil.bench.batch import Batch, Driven, Job
 from tunefree_hil.bench.scaling import DEAD_TIME, LAG
+from tunefree_hil.grade.objectives import OBJECTIVES, measure_objectives
 from tunefree_hil.grade.requirements.judgement import oscillates
 from tunefree_hil.grade.requirements.limits import requirement_limits
 from tunefree_hil.grade.score import combine_scores
@@ -31,13 +32,14 @@ from tunefree_hil.jobs.run_folder import JOINED, RunFolder, read_json, write_jso
 from tunefree_hil.jobs.tune.margins import MIN_DRIVES_PER_CALL, JobDriver, find_batch_obstacle
 from tunefree_hil.tune.ensemble import HeldOutScore, rank_by_held_out
 from tunefree_hil.tune.journal import slot_key
+from tunefree_hil.tune.pareto import Objectives, find_reference, measure_trade
 from tunefree_hil.tune.robust_winner import (
     DriveTotals,
     drive_totals,
     find_open_trials,
     find_rejected_trials,
     is_robust,
-    mean_score,
+    mean_merit,
     rank_trials,
 )
 from tunefree_hil.tune.trial import Baseline, ScoredStudy, Trial, trial_order
@@ -47,6 +49,7 @@ FILE = "held.json"
 MIN_TRIALS = 2  # with fewer trials there is no choice
 MAX_CHECKED_TRIALS = 64  # the best ones; a search that has converged has hundreds that are nearly equal
 MAX_SHOWN_TRIALS = 5  # rejected trials in a table
+TRADE = "trade"  # key that is only in data of a study of several objectives
 
 
 class RobustnessResult(NamedTuple):
@@ -121,11 +124,12 @@ def check_robustness(
 def drive_slower_car(
     batch: JobDriver, bench: Bench, study: ScoredStudy, vectors: Mapping[str, Mapping[str, float]]
 ) -> Generator[Event, None, dict[str, DriveTotals]]:
-    """Drive the clean baselines, then the trials in the order of their scores, until no other can win."""
+    """Drive the clean baselines, then the trials in the order of their merit, until no other can win."""
     totals: dict[str, DriveTotals] = {}
+    reference = find_reference(study.baselines()) if study.settings.objectives else ()
     baselines = {name: vectors[name] for name, base in study.baselines().items() if _nominal_totals(base).is_clean}
     yield Event("note", f"robustness check of the best trials ({slower_car_text(bench.spec.tune.slower)})")
-    totals |= _drive_vectors(batch, bench, baselines)
+    totals |= _drive_vectors(batch, bench, baselines, reference)
     if not any(_nominal_totals(trial).is_clean for trial in study.trials()):
         message = "no trial drives all scenarios without a re-plan, so none can pass the robustness check"
         yield Event("warning", f"{message}: the best score wins")
@@ -135,7 +139,7 @@ def drive_slower_car(
     while open_trials := find_open_trials(trials, totals) or _next_trials(ranked, trials, totals):
         trials = ranked[: max(len(trials), ranked.index(open_trials[-1]) + 1)]
         chosen = {slot_key(trial.slot): parameters_of(bench, trial.parameters) for trial in open_trials[:batch_size]}
-        totals |= _drive_vectors(batch, bench, chosen)
+        totals |= _drive_vectors(batch, bench, chosen, reference)
         n_driven, n_left = len(totals) - len(baselines), len(find_open_trials(trials, totals))
         n_passed = sum(is_robust(trial, totals) for trial in trials)
         data = count_data("robustness check, trial", n_driven, n_driven + n_left, started)
@@ -156,15 +160,32 @@ def slower_car_text(factor: float) -> str:
 
 
 def _drive_vectors(
-    batch: JobDriver, bench: Bench, vectors: Mapping[str, Mapping[str, float]]
+    batch: JobDriver, bench: Bench, vectors: Mapping[str, Mapping[str, float]], reference: Objectives
 ) -> dict[str, DriveTotals]:
-    """Totals of each vector over all scenarios of the bench, in the slower car."""
+    """Totals of each vector over all scenarios of the bench, in the slower car.
+
+    reference: Objectives of the best manual set; empty in a study by the score.
+    """
     scenarios = [bench.scenarios[name] for name in bench.spec.scenarios]
     scale = {DEAD_TIME: bench.spec.tune.slower, LAG: bench.spec.tune.slower}
     jobs = [Job(values, scenario, scale=scale) for values in vectors.values() for scenario in scenarios]
     drives = batch.drive(jobs)
     n = len(scenarios)
-    return {name: _total_drives(bench, drives[i * n : (i + 1) * n]) for i, name in enumerate(vectors)}
+    totals = {name: _total_drives(bench, drives[i * n : (i + 1) * n]) for i, name in enumerate(vectors)}
+    if not reference:
+        return totals
+    return {
+        name: totals[name]._replace(trade=_measure_trade(bench, drives[i * n : (i + 1) * n], reference))
+        for i, name in enumerate(vectors)
+    }
+
+
+def _measure_trade(bench: Bench, drives: Sequence[Driven], reference: Objectives) -> float:
+    """The trade of one vector; where the bench ended a drive without a grade, that of failures."""
+    grades = {drive.grade.scenario: drive.grade._asdict() for drive in drives if drive.grade is not None}
+    if len(grades) < len(drives):
+        return measure_trade((bench.weights.failure_score,) * len(reference), reference)
+    return measure_trade(measure_objectives(grades, bench.weights, list(OBJECTIVES)), reference)
 
 
 def _total_drives(bench: Bench, drives: Sequence[Driven]) -> DriveTotals:
@@ -210,14 +231,18 @@ def _totals_from_data(data: Mapping[str, Any]) -> dict[str, DriveTotals]:
 
 
 def _data_from_totals(totals: Mapping[str, DriveTotals]) -> dict[str, dict[str, Any]]:
-    return {key: key_totals._asdict() for key, key_totals in totals.items()}
+    return {key: _data_of_totals(key_totals) for key, key_totals in totals.items()}
+
+
+def _data_of_totals(totals: DriveTotals) -> dict[str, Any]:
+    return {name: value for name, value in totals._asdict().items() if name != TRADE or value is not None}
 
 
 def robustness_data(result: RobustnessResult, study: ScoredStudy, trials: Sequence[Trial]) -> dict[str, Any]:
     """The value of "held" in a result.
 
     Keys: factor, reason, driven (number of trials in the slower car), holding (how many passed), and where any was
-    driven: winner, passed_over (trials with a better score than the winner), baselines.
+    driven: winner, passed_over (trials with a better score or trade than the winner), baselines.
 
     Args:
         result: Result of the robustness check.
@@ -233,7 +258,7 @@ def robustness_data(result: RobustnessResult, study: ScoredStudy, trials: Sequen
         rejected = find_rejected_trials(all_trials, result.totals)
         data["passed_over"] = [_trial_data(trial, result) for trial in rejected]
         names = [name for name in study.baselines() if name in result.totals]
-        data["baselines"] = {name: result.totals[name]._asdict() for name in names}
+        data["baselines"] = {name: _data_of_totals(result.totals[name]) for name in names}
     return data
 
 
@@ -244,9 +269,10 @@ def _trial_data(trial: Trial, result: RobustnessResult) -> dict[str, Any]:
         "key": slot_key(trial.slot),
         "slot": trial.slot,
         "score": trial.score,
-        "mean": mean_score(trial, result.totals),
+        **({} if trial.trade is None else {TRADE: trial.trade}),
+        "mean": mean_merit(trial, result.totals),
         "calm": drive_totals(trial.score, trial.scenarios).is_clean,
-        "slower": totals and totals._asdict(),
+        "slower": totals and _data_of_totals(totals),
         "holds": is_robust(trial, result.totals),
     }
 
@@ -263,10 +289,11 @@ def robustness_text(data: Mapping[str, Any]) -> str:
         parts.append(f"the winner FAILED it: it {_totals_text(winner)}")
     if data["passed_over"]:
         best, number = data["passed_over"][0], len(data["passed_over"])
-        more = f" (and {number - 1} more with a better score)" if number > 1 else ""
-        text = f"{best['key']} has a better score ({best['score']:.3f}) but was rejected{more}: it {_totals_text(best)}"
+        noun = _merit_noun(best)
+        more = f" (and {number - 1} more with a better {noun})" if number > 1 else ""
+        text = f"{best['key']} has a better {noun} ({_merit(best):.3f}) but was rejected{more}: it {_totals_text(best)}"
         if best["slower"]:
-            text += f" in the slower car, where the winner scores {winner['slower']['score']:.3f}"
+            text += f" in the slower car, where the winner has a {noun} of {_merit(winner['slower']):.3f}"
         parts.append(text)
     return "; ".join(parts)
 
@@ -281,16 +308,17 @@ def robustness_table(data: Mapping[str, Any]) -> list[str]:
     rows = robustness_rows(data)
     if not rows:
         return []
-    text = _passed_text(data)
+    noun = _merit_noun(data["winner"])
+    text = _passed_text(data) + ("" if noun == "score" else f"; {noun} of the objectives (below 1: all are better)")
     width = max(len(row.name) for row in rows)
     lines = [text[0].upper() + text[1:], f"{'':{width}}  nominal  slower"]
     lines += [f"{row.name:{width}}  {row.nominal:>7}  {row.slower:>6}  {row.verdict}" for row in rows]
     more = len(data["passed_over"]) - MAX_SHOWN_TRIALS
-    return [*lines, f"... {more} more with a better score"] if more > 0 else lines
+    return [*lines, f"... {more} more with a better {noun}"] if more > 0 else lines
 
 
 class RobustnessRow(NamedTuple):
-    """A row of the table: name, scores in the nominal and in the slower car, verdict."""
+    """A row of the table: name, scores or trades in the nominal and in the slower car, verdict."""
 
     name: str
     nominal: str
@@ -311,12 +339,21 @@ def robustness_rows(data: Mapping[str, Any]) -> list[RobustnessRow]:
     return [
         RobustnessRow(
             name,
-            _score_text(entry["score"]),
-            _score_text((entry["slower"] or {}).get("score")),
+            _score_text(_merit(entry)),
+            _score_text(_merit(entry["slower"] or {})),
             "passed" if entry["holds"] else _totals_text(entry),
         )
         for name, entry in entries.items()
     ]
+
+
+def _merit(entry: Mapping[str, Any]) -> float | None:
+    """What a trial, or its totals, is ranked by: the trade where it has one, else the score."""
+    return entry.get(TRADE, entry.get("score"))
+
+
+def _merit_noun(entry: Mapping[str, Any]) -> str:
+    return TRADE if TRADE in entry else "score"
 
 
 def _score_text(score: float | None) -> str:
@@ -332,7 +369,7 @@ def _totals_text(entry: Mapping[str, Any]) -> str:
     parts += [f"fails in {_count_text(totals['failed'], 'scenario')}"] if totals["failed"] else []
     swinging = totals.get("oscillating", 0)  # not in results of older versions
     parts += [f"oscillates in {_count_text(swinging, 'scenario')}"] if swinging else []
-    return " and ".join(parts) or f"scores {totals['score']:.3f}"
+    return " and ".join(parts) or f"has a {_merit_noun(totals)} of {_merit(totals):.3f}"
 
 
 def _count_text(number: int, noun: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from tunefree_hil.base.errors import BenchError
@@ -12,7 +12,7 @@ from tunefree_hil.base.events import Event
 from tunefree_hil.bench import parameters_of
 from tunefree_hil.grade.requirements.limits import CRITERIA
 from tunefree_hil.jobs.run_folder import RunFolder, delete_logs
-from tunefree_hil.jobs.tune.evaluators import Evaluator, Medium, VectorCandidate
+from tunefree_hil.jobs.tune.evaluators import Evaluator, Medium, VectorCandidate, with_objectives
 from tunefree_hil.jobs.tune.options import TunePlan
 from tunefree_hil.tune.compare import find_best_baseline
 from tunefree_hil.tune.journal import Journal
@@ -79,16 +79,21 @@ class TrialSearch:
 
     def _evaluate(self, points: Mapping[int, dict[str, float]]) -> list[Evaluation]:
         first = len(self.vectors)
-        return self.evaluator.evaluate(
+        return self._evaluate_candidates(
             [VectorCandidate(first + slot, parameters_of(self.bench, tuned)) for slot, tuned in points.items()]
         )
+
+    def _evaluate_candidates(self, candidates: list[VectorCandidate]) -> list[Evaluation]:
+        """The evaluations, with the objectives of the study."""
+        objectives = self.study.settings.objectives
+        return [with_objectives(one, self.bench, objectives) for one in self.evaluator.evaluate(candidates)]
 
     def _evaluate_baselines(self, names: list[str]) -> dict[str, Evaluation | BenchError]:
         """The evaluation of each baseline, or the error of the bench."""
         order = list(self.vectors)
         candidates = [VectorCandidate(order.index(name), self.vectors[name]) for name in names]
         try:
-            evaluations = self.evaluator.evaluate(candidates)
+            evaluations = self._evaluate_candidates(candidates)
         except BenchError as error:
             return dict.fromkeys(names, error)
         return {
@@ -112,7 +117,8 @@ class TrialSearch:
         size = max(1, self.study.settings.in_flight)
         if (trial.slot + 1) % size == 0 or trial.slot + 1 == self.total:  # one line for a generation
             values = ", ".join(f"{name} {value:.4g}" for name, value in trial.parameters.items())
-            yield self._progress(f"{trial.score:.3f}{_beyond_text(trial)} at {values}", "trial", done, self.total)
+            scored = f"{trial.score:.3f}{_objectives_text(trial, self.study.settings.objectives)}{_beyond_text(trial)}"
+            yield self._progress(f"{scored} at {values}", "trial", done, self.total)
 
     def _delete_old_logs(self, slot: int) -> None:
         """Delete the logs of this slot, or those of the former best trial where this slot is the best now."""
@@ -145,10 +151,17 @@ class TrialSearch:
             message += f"; {data['drives']:.0f} drives, {data['saved_drives']:.0f} saved by racing"
         if best is not None:
             data["best"] = best.score
+            data |= dict(zip(self.study.settings.objectives, best.objectives, strict=True))
             data |= {"violation": best.violation} if best.violation else {}
         if manual:
             data["manual"] = find_best_baseline(manual).score
         return Event("progress", message, data)
+
+
+def _objectives_text(trial: Trial, objectives: Sequence[str]) -> str:
+    """' (tracking 0.283, comfort 0.133)'; '' in a search by the score."""
+    parts = [f"{name} {value:.3f}" for name, value in zip(objectives, trial.objectives, strict=True)]
+    return f" ({', '.join(parts)})" if parts else ""
 
 
 def _beyond_text(trial: Trial) -> str:

@@ -81,6 +81,8 @@ def tune(options: TuneOptions) -> Iterator[Event]:
         text = f"{'resuming' if is_resumed else 'run folder'} {run.path}"
         yield Event("note", text, {"resume": plan.command})
         yield Event("note", describe_model(model_of(plan.bench, plan.bench.spec.model)))
+        if plan.sampler_choice is not None:
+            yield Event("note", plan.sampler_text, plan.sampler_choice._asdict())
         if plan.study_address:
             text = f"study: {plan.study_address}; the score of a trial is reproducible, the sequence of trials is not"
             yield Event("note", text)
@@ -312,9 +314,10 @@ def _tune_in_batch(plan: TunePlan, run: RunFolder, stack: ExitStack) -> Generato
 
 def _make_batch_evaluator(plan: TunePlan, batch: Batch, cars: EnsembleCars | None, journal: Journal) -> Evaluator:
     """Of the model alone, or of an ensemble of cars."""
-    bench, limits, n_baselines = plan.bench, plan.settings.requirements, len(plan.vectors)
+    bench, settings, n_baselines = plan.bench, plan.settings, len(plan.vectors)
     if cars is not None:
-        return EnsembleEvaluator(batch, bench, cars, journal.baselines, limits=limits, first_trial=n_baselines)
+        asked = {"limits": settings.requirements, "objectives": settings.objectives}
+        return EnsembleEvaluator(batch, bench, cars, journal.baselines, first_trial=n_baselines, **asked)
     scenarios = [bench.scenarios[name] for name in bench.spec.scenarios]
     return BatchEvaluator(batch, bench, scenarios, batch_size=max(n_baselines, 1))
 

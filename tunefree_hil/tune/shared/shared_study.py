@@ -34,6 +34,7 @@ from tunefree_hil.tune.trial import (
     Evaluation,
     Trial,
     check_evaluation,
+    evaluation_from_data,
     find_best_trial,
 )
 from tunefree_hil.tune.trial_loop import MAX_RETRIES
@@ -168,7 +169,7 @@ class SharedStudy:
 
     def _save(self, attempt: Attempt, evaluation: Evaluation) -> None:
         """Save a finished evaluation in a file before it is stored, so that a lost server does not cost it."""
-        data = {"begun": attempt._asdict(), "score": evaluation.score, "scenarios": evaluation.scenarios}
+        data = {"begun": attempt._asdict(), **evaluation.as_data()}
         part = self.folder / f"{SAVED}.part"
         part.write_text(json.dumps(data))
         os.replace(part, self.folder / SAVED)
@@ -179,7 +180,7 @@ class SharedStudy:
         if not path.is_file():
             return
         data = json.loads(path.read_text())
-        attempt, evaluation = Attempt(**data["begun"]), Evaluation(data["score"], data["scenarios"])
+        attempt, evaluation = Attempt(**data["begun"]), evaluation_from_data(data)
         note = f"the finished trial is in {path}"
         trial = yield from self._retry(lambda: self._complete(attempt, evaluation), note)
         path.unlink()

@@ -78,7 +78,7 @@ class SharedTrials:
             if trial_id is not None:
                 self._finish(trial_id, TrialState.FAIL, {"error": "filled by another worker"})
             return None
-        scored = {"score": float(evaluation.score), "scenarios": evaluation.scenarios}
+        scored = evaluation.as_data()
         value = sampler_value_from_score(evaluation.score)
         # An attempt that another worker has stored as failed (an expired lease) is replaced by a new trial.
         if trial_id is None or not self._finish(trial_id, TrialState.COMPLETE, scored, value):
@@ -144,6 +144,12 @@ class SharedTrials:
         history = [point_from_trial(trial, settings) for trial in self.stored.trials()]
         pending = [frozen.params for frozen in self._running()]
         drawn = suggest_points(
-            settings.space, history, sampler=settings.sampler, seed=settings.seed, slots=[slot], pending=pending
+            settings.space,
+            history,
+            sampler=settings.sampler,
+            seed=settings.seed,
+            slots=[slot],
+            pending=pending,
+            kappa_w=settings.kappa_w,
         )
         return drawn[0]

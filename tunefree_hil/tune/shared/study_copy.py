@@ -14,7 +14,7 @@ from tunefree_hil.tune import store
 from tunefree_hil.tune.optuna_study import BASELINE
 from tunefree_hil.tune.sampling import sampler_value_from_score
 from tunefree_hil.tune.space import Space
-from tunefree_hil.tune.trial import ScoredStudy, Trial
+from tunefree_hil.tune.trial import OBJECTIVES, Baseline, Evaluation, ScoredStudy, Trial
 
 
 def copy_study(path: Path, study: ScoredStudy, attributes: Mapping[str, Any]) -> None:
@@ -38,7 +38,7 @@ def copy_study(path: Path, study: ScoredStudy, attributes: Mapping[str, Any]) ->
             _frozen_from_trial(trial, study.settings.space) for trial in study.trials() if trial.slot not in copied
         )
         for name, baseline in study.baselines().items():
-            file.study.set_user_attr(BASELINE + name, baseline._asdict())
+            file.study.set_user_attr(BASELINE + name, _data_from_baseline(baseline))
         for key, value in attributes.items():
             file.study.set_user_attr(key, value)
     finally:
@@ -50,5 +50,15 @@ def _frozen_from_trial(trial: Trial, space: Space) -> optuna.trial.FrozenTrial:
         params=dict(trial.parameters),
         distributions={axis.name: axis.stored_distribution() for axis in space.axes},
         value=sampler_value_from_score(trial.score),
-        user_attrs={"slot": trial.slot, "score": trial.score, "scenarios": trial.scenarios},
+        user_attrs={
+            "slot": trial.slot,
+            **Evaluation(trial.score, trial.scenarios, objectives=trial.objectives).as_data(),
+        },
     )
+
+
+def _data_from_baseline(baseline: Baseline) -> dict[str, Any]:
+    data = baseline._asdict()
+    if not baseline.objectives:
+        del data[OBJECTIVES]
+    return data

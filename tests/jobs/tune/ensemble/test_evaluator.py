@@ -147,3 +147,30 @@ def test_a_failure_of_the_bench_is_none_of_the_candidate(tmp_path: Path) -> None
     with pytest.raises(BenchError) as caught:
         session.trials(0.1)
     assert caught.value.code == "ins_missing"
+
+
+def test_objectives_are_combined_over_the_cars_as_scores_are(tmp_path: Path) -> None:
+    """Every metric of the plant is its grade, so each objective is the score; a dropped candidate fails in both."""
+
+    class Measured(Plant):
+        def _driven(self, job: Job) -> Driven:
+            driven = super()._driven(job)
+            assert driven.grade is not None
+            metrics: dict[str, float | None] = dict.fromkeys(session.bench.weights.metrics, driven.grade.score)
+            return driven._replace(grade=driven.grade._replace(metrics=metrics))
+
+    session = Session(make_bench(tmp_path, "racing = 2"), Plant())
+    plant = Measured()
+    evaluator = EnsembleEvaluator(
+        plant,
+        session.bench,
+        session.cars,
+        lambda: session.baselines,
+        limits=LIMITS,
+        first_trial=N_BASELINES,
+        objectives=("tracking", "comfort"),
+    )
+    full, dropped = evaluator.evaluate([session.candidate(N_BASELINES, 0.3), session.candidate(N_BASELINES + 1, 0.9)])
+    assert full.objectives == pytest.approx((full.score, full.score))
+    assert dropped.objectives[0] > 5.0 and dropped.objectives == pytest.approx((dropped.score, dropped.score), rel=0.2)
+    assert all(not evaluation.objectives for evaluation in session.trials(0.3))

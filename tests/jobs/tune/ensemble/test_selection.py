@@ -103,3 +103,26 @@ def test_nothing_is_driven_where_there_is_no_choice(bench: Bench, journal: Journ
     plain = load(write_bench(tmp_path / "plain"))
     assert ended(select_on_held_out(plain, run, journal, journal.trials(), plant)) == ({}, [])
     assert not plant.jobs
+
+
+def test_a_study_of_two_objectives_is_chosen_by_the_trade_on_held_out_roads(bench: Bench, tmp_path: Path) -> None:
+    class Measured(Plant):
+        """A large p tracks well and costs comfort, which the manual set has little to spare of."""
+
+        def _driven(self, job: Job) -> Driven:
+            p = job.values["mrac.p"]
+            metrics: dict[str, float | None] = {"lateral_rms_after_start": 1.0 - p, "steer_rate_rms": 1.0 + 50.0 * p}
+            return Driven(ScenarioGrade(job.scenario.name, 1 - 9 * p, metrics, 0, "finished", 200), 200, "")
+
+    space = resolve_space("mrac", [], file=bench.file)
+    names = ("tracking", "comfort")
+    journal = open_journal(
+        tmp_path / "both.jsonl", StudySettings(space, 1, "random", "sha256:00", {}, in_flight=4, objectives=names)
+    )
+    journal.add_baseline("manual", {}, Evaluation(1.0, {}, objectives=(1.0, 1.0)))
+    list(run_generations(journal, TRIALS, lambda points: [Evaluation(0.5, {}, objectives=(0.5, 0.5)) for _ in points]))
+    held_out, events = ended(select_on_held_out(bench, RunFolder(tmp_path, {}), journal, journal.trials(), Measured()))
+    winner = RobustnessResult(held_out=held_out).rank_trials(journal.trials())[0]
+    assert winner.parameters["mrac.p"] == min(trial.parameters["mrac.p"] for trial in journal.trials())
+    assert held_out[slot_key(winner.slot)].score == pytest.approx(1.0 + 50.0 * winner.parameters["mrac.p"], rel=1e-4)
+    assert any("has a trade of" in event.message for event in events)

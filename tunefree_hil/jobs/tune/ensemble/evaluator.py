@@ -12,6 +12,7 @@ from tunefree_hil.bench import Bench
 from tunefree_hil.bench.batch import Batch
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.config.tuning.ensemble_schema import EnsembleSpec
+from tunefree_hil.grade.objectives import grades_by_objective
 from tunefree_hil.grade.requirements.judgement import measure_violation
 from tunefree_hil.grade.score import ScenarioGrade
 from tunefree_hil.jobs.tune.ensemble.cars import EnsembleCars
@@ -57,6 +58,7 @@ class EnsembleEvaluator:
         *,
         limits: Mapping[str, float],
         first_trial: int,
+        objectives: Sequence[str] = (),
     ) -> None:
         """Make it.
 
@@ -67,10 +69,11 @@ class EnsembleEvaluator:
             baselines: The stored baselines; all of them once a trial is evaluated.
             limits: Requirements of the study.
             first_trial: Number of baselines, which is the group of the first trial.
+            objectives: Names of the objectives of the study.
         """
         assert bench.spec.ensemble is not None
         self.batch, self.bench, self.cars, self.batch_size = batch, bench, cars, max(1, first_trial)
-        self._first_trial = first_trial
+        self._first_trial, self._objectives = first_trial, tuple(objectives)
         self.scenarios = {name: bench.scenarios[name] for name in bench.spec.scenarios}
         self._spec: EnsembleSpec = bench.spec.ensemble
         self._judgement = Judgement(self._spec.judge, 0.01 * self._spec.tail)
@@ -171,7 +174,10 @@ class EnsembleEvaluator:
             if others and self._judgement.judge == "constraint":
                 worst = worst_of_cars(others)
                 scenarios[worst["scenario"]] = worst
-        return Evaluation(combine_ensemble(self._scored(made), self._judgement), scenarios)
+        scored = self._scored(made)
+        parts = [grades_by_objective(scored, self.bench.weights, objective) for objective in self._objectives]
+        objectives = tuple(combine_ensemble(part, self._judgement) for part in parts)
+        return Evaluation(combine_ensemble(scored, self._judgement), scenarios, objectives=objectives)
 
     def _scored(self, made: Grades) -> list[ScenarioGrade]:
         """The grades that the score is made of; a drive that was not made has the failure score."""

@@ -18,7 +18,9 @@ from tunefree_hil.bench.batch import Batch
 from tunefree_hil.bench.load import held_out_roads_of
 from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.config.tuning.ensemble_schema import EnsembleSpec
+from tunefree_hil.grade.objectives import grades_by_objective
 from tunefree_hil.grade.requirements.judgement import measure_violation
+from tunefree_hil.grade.score import ScenarioGrade
 from tunefree_hil.jobs.identity import data_sha256
 from tunefree_hil.jobs.progress import count_data
 from tunefree_hil.jobs.run_folder import RunFolder, read_json, write_json
@@ -34,6 +36,7 @@ from tunefree_hil.tune.ensemble import (
     worst_of_cars,
 )
 from tunefree_hil.tune.journal import Journal, slot_key
+from tunefree_hil.tune.pareto import find_reference, measure_trade
 from tunefree_hil.tune.trial import Trial
 
 SCHEMA = "tunefree.selected/1"
@@ -86,7 +89,7 @@ def select_on_held_out(
     held_out = make_held_out_set(bench, spec)
     with ExitStack() as stack:
         driver = batch or stack.enter_context(Batch(bench, held_out.model, extra_effects=held_out.cars.effects))
-        scores = yield from _drive_trials(driver, bench, held_out, near, journal.settings.requirements)
+        scores = yield from _drive_trials(driver, bench, held_out, near, journal)
     data = {name: score._asdict() for name, score in scores.items()}
     write_json(run.path / FILE, {"schema": SCHEMA, "of": key, "model": held_out.model, "scores": data})
     return scores
@@ -101,7 +104,7 @@ def selection_text(held_out: Mapping[str, HeldOutScore], spec: EnsembleSpec) -> 
 
 
 def _drive_trials(
-    batch: JobDriver, bench: Bench, held_out: HeldOutSet, trials: Sequence[Trial], limits: Mapping[str, float]
+    batch: JobDriver, bench: Bench, held_out: HeldOutSet, trials: Sequence[Trial], journal: Journal
 ) -> Generator[Event, None, dict[str, HeldOutScore]]:
     drives = len(held_out.roads) * len(held_out.cars.cars)
     text = f"{len(trials)} near-equal trials are driven on {len(held_out.roads)} held-out roads, {drives} drives each"
@@ -109,16 +112,17 @@ def _drive_trials(
     scores, started = {}, time.monotonic()
     for done, trial in enumerate(trials, 1):
         name = slot_key(trial.slot)
-        scores[name] = _score_held_out(batch, bench, held_out, trial, limits)
+        scores[name] = _score_held_out(batch, bench, held_out, trial, journal)
         data = count_data("selection, trial", done, len(trials), started)
-        yield Event("progress", f"{name} scores {scores[name].score:.3f} on held-out roads", data)
+        noun = "trade" if journal.settings.objectives else "score"
+        yield Event("progress", f"{name} has a {noun} of {scores[name].score:.3f} on held-out roads", data)
     return scores
 
 
 def _score_held_out(
-    batch: JobDriver, bench: Bench, held_out: HeldOutSet, trial: Trial, limits: Mapping[str, float]
+    batch: JobDriver, bench: Bench, held_out: HeldOutSet, trial: Trial, journal: Journal
 ) -> HeldOutScore:
-    """Score and violation over all held-out drives."""
+    """Score, or trade of several objectives, and violation over all held-out drives."""
     assert bench.spec.ensemble is not None
     values = parameters_of(bench, trial.parameters)
     pairs = [(road, car) for road in held_out.roads for car in held_out.cars.cars]
@@ -128,7 +132,18 @@ def _score_held_out(
     worst = [worst_of_cars(grades[i * count : (i + 1) * count]) for i in range(len(held_out.roads))]
     by_road = {entry["scenario"].removesuffix(OTHER_CARS): entry for entry in worst}
     judgement = Judgement("tail", 0.01 * bench.spec.ensemble.tail)
-    return HeldOutScore(measure_violation(by_road, limits), combine_ensemble(grades, judgement))
+    violation = measure_violation(by_road, journal.settings.requirements)
+    return HeldOutScore(violation, _measure_merit(bench, grades, judgement, journal))
+
+
+def _measure_merit(bench: Bench, grades: Sequence[ScenarioGrade], judgement: Judgement, journal: Journal) -> float:
+    """The score; in a study of several objectives their trade, against those of the best manual set in the search."""
+    names = journal.settings.objectives
+    if not names:
+        return combine_ensemble(grades, judgement)
+    parts = [grades_by_objective(grades, bench.weights, name) for name in names]
+    objectives = tuple(combine_ensemble(part, judgement) for part in parts)
+    return measure_trade(objectives, find_reference(journal.baselines()))
 
 
 def _read_scores(run: RunFolder, key: str) -> dict[str, HeldOutScore] | None:

@@ -1,0 +1,1 @@
+"""Pictures of the reproduction, with the axes and panels of the paper."""
