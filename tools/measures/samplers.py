@@ -41,7 +41,7 @@ VALUE = "best score so far of sampler 'auto' / of the best of all methods, media
 NAME = "samplers"
 OWN = tuple(name for name in SAMPLERS if name != NSGA)  # nsga is for several objectives
 ASK_FOR_BUDGET = ("smac", "nevergrad")  # they search otherwise when they are told another number of trials
-# With 8 in flight NGOpt takes a meta model, in which nevergrad 1.0.12 hung (after 136 of 200 trials). So it searches one
+# With 8 in flight NGOpt takes a meta model, in which nevergrad 1.0.12 hung (trial 136 of 200). So it searches one
 # by one, where it takes COBYLA, and these rows stand in every comparison, to its advantage: it knows all scores before.
 ONE_BY_ONE = ("nevergrad",)
 # Processor time of a trial and of a suggestion in ms, for the time that is left only.

@@ -80,4 +80,4 @@ def _dress(axes: Axes, panel: SamplerPanel, title: str) -> None:
     axes.set_ylim(low - ROOM * (high - low), high + ROOM * (high - low))
     style.dress(axes, "trials", "best score so far", title)
     style.plain_numbers(axes.xaxis)
-    axes.legend(fontsize=style.FONT_PT - 2, frameon=False, ncols=2, loc="upper right")
+    axes.legend(fontsize=style.FONT_PT - 2, framealpha=0.85, edgecolor="none", ncols=2, loc="upper right")

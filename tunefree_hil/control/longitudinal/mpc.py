@@ -192,10 +192,10 @@ def has_failed(params: LongitudinalMpcParams, state: LongitudinalMpcState) -> bo
     return plans.has_failed(params.planner, state.plan)
 
 
-# Boxes: the gains are about sqrt(q / r_accel): on the station 0.01 to 1 per s2, on the speed 0.1 to 4 per s, as those
-# of station.kp times speed.kp and of speed.kp (control/parameters.py) with r_accel at 1.
+# Boxes: the gains are about sqrt(q / r_accel): on the station 0.01 to 3 per s2, on the speed 0.1 to 4 per s. Those of
+# station.kp times speed.kp and of speed.kp (control/parameters.py) are as large, with r_accel at 1.
 WEIGHTS = (
-    Tunable("mpc.q_station", "1/m2", 1e-4, 1.0),
+    Tunable("mpc.q_station", "1/m2", 1e-4, 10.0),
     Tunable("mpc.q_speed", "s2/m2", 0.01, 16.0),
     Tunable("mpc.r_accel", "s4/m2", 0.1, 10.0),
     # Low: the commands are smoothed over 0.01 s, a tick. High: over 1 s, as long as a comfortable change takes.

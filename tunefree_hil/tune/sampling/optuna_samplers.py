@@ -10,6 +10,8 @@ from optuna.distributions import BaseDistribution
 from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, GPSampler, NSGAIISampler, RandomSampler
 from optuna.samplers.nsgaii import SBXCrossover
+from optuna.study import Study
+from optuna.trial import FrozenTrial
 
 from tunefree_hil.tune.sampling.memory_study import StudyKind, StudyMemory
 from tunefree_hil.tune.sampling.points import ScoredPoint, derive_slot_seed
@@ -72,9 +74,21 @@ def _make_sampler(
     return make_tpe_sampler(seed, distributions, relative=name == TPE_RELATIVE, in_flight=in_flight)
 
 
+class OrderedNsga(NSGAIISampler):
+    """NSGA-II whose parents come in the order of their trials.
+
+    Optuna's sampler has them by rank where it selects them, and by trial where it remembers them, so that a suggestion
+    would depend on the ones before it.
+    """
+
+    def get_parent_population(self, study: Study, generation: int) -> list[FrozenTrial]:
+        """The parents of a generation, by the number of their trial."""
+        return sorted(super().get_parent_population(study, generation), key=lambda trial: trial.number)
+
+
 def _make_nsga_sampler(seed: int) -> NSGAIISampler:
     """NSGA-II with simulated binary crossover, as its authors use it: it makes new values between and near parents'."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
         crossover = SBXCrossover()
-    return NSGAIISampler(population_size=NSGA_CRITERIA.population, crossover=crossover, seed=seed)
+    return OrderedNsga(population_size=NSGA_CRITERIA.population, crossover=crossover, seed=seed)

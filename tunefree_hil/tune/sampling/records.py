@@ -17,6 +17,7 @@ GP_EI, GP_UCB, GP_ME = "gp_ei", "gp_ucb", "gp_me"
 TPE_INDEPENDENT, TPE_RELATIVE = "tpe_independent", "tpe_relative"
 CMA, TPE_CMA, NSGA = "cma", "tpe_cma", "nsga"
 QMC, RANDOM = "qmc", "random"
+TRUST_REGION = "trust_region"
 AUTO = "auto"  # no sampler: chosen before the study is made (automatic_choice.py)
 
 LEARN_MODULES = ("torch", "botorch")  # of the extra `learn`
@@ -110,6 +111,8 @@ RECORDS: tuple[SamplerRecord, ...] = (
     SamplerRecord(TPE_RELATIVE, _TPE, _EI, _TOGETHER, True, _MODELLED, True, _EXACT, "", "arXiv:1807.01774"),
     SamplerRecord(CMA, _NO_MODEL, _NO_ACQUISITION, _TOGETHER, True, _RANKED, False, _ROUNDED, "", "arXiv:1604.00772"),
     SamplerRecord(TPE_CMA, _TPE, _EI, _TOGETHER, True, _RANKED, False, _ROUNDED, "", "arXiv:1604.00772"),
+    SamplerRecord(TRUST_REGION, _NO_MODEL, _NO_ACQUISITION, _TOGETHER, True, _RANKED, False, _ROUNDED, "",
+                  "doi:10.5281/zenodo.10655367"),
     SamplerRecord(NSGA, _NO_MODEL, _NO_ACQUISITION, _TOGETHER, True, _MODELLED, True, _EXACT, "",
                   "doi:10.1109/4235.996017"),
     SamplerRecord(QMC, _NO_MODEL, _NO_ACQUISITION, _TOGETHER, True, _UNUSED, True, _EXACT, "",

@@ -9,6 +9,7 @@ from tunefree_hil.tune.sampling import cma, records
 from tunefree_hil.tune.sampling.optuna_samplers import suggest_by_optuna
 from tunefree_hil.tune.sampling.points import ScoredPoint
 from tunefree_hil.tune.sampling.quasi_random import suggest_sobol_points
+from tunefree_hil.tune.sampling.trust_region import suggest_local_points
 from tunefree_hil.tune.space import Space
 
 
@@ -39,6 +40,7 @@ def suggest_points(
     slots: Sequence[int],
     pending: Sequence[Mapping[str, float]] = (),
     kappa_w: float = records.KAPPA_W,
+    given: int = 1,
 ) -> list[dict[str, float]]:
     """Suggest the parameters of slots that are tried at the same time.
 
@@ -51,6 +53,7 @@ def suggest_points(
         pending: Sets of parameters in flight. A sampler that learns keeps away from them, and from the earlier ones of
             these slots.
         kappa_w: Weight of the uncertainty for `gp_ucb` (paper, eq. 8).
+        given: Number of first trials that no sampler chose, such as manual sets; `trust_region` starts at the best.
 
     Returns:
         One set for each slot; it depends on the arguments alone.
@@ -61,6 +64,10 @@ def suggest_points(
     records.check_sampler(sampler, max(1, len(history[0].objectives) if history else 1))
     if sampler == records.QMC:
         return suggest_sobol_points(space, seed=seed, slots=slots)
+    if sampler == records.TRUST_REGION:
+        local = suggest_local_points(space, history, given=given, count=len(slots), pending=pending)
+        pending, slots, sampler = [*pending, *local], slots[len(local) :], records.TPE_INDEPENDENT
+        return local + suggest_by_optuna(space, history, sampler=sampler, seed=seed, slots=slots, pending=pending)
     if sampler == records.CMA:
         return cma.suggest_cma_points_from_start(space, history, seed=seed, count=len(slots), pending=pending)
     if sampler == records.TPE_CMA and len(history) >= cma.CRITERIA.start_trials:
