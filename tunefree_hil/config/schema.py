@@ -237,6 +237,7 @@ class TuneSpec(Spec, frozen=True, kw_only=True):
         "tpe_relative",
         "cma",
         "tpe_cma",
+        "trust_region",
         "nsga",
         "qmc",
         "random",

@@ -67,6 +67,7 @@ def suggest_slots(settings: StudySettings, done: Sequence[Trial], slots: Sequenc
             slots=remaining,
             pending=list(points.values()),
             kappa_w=settings.kappa_w,
+            given=len(settings.given_points),
         )
         points |= dict(zip(remaining, suggested, strict=True))
     return {slot: points[slot] for slot in slots}

@@ -64,8 +64,8 @@ class TuneOptions(NamedTuple):
     sampler: Annotated[
         str | None,
         Option(
-            "auto, gp_ei, gp_ucb, gp_me, tpe_independent, tpe_relative, cma, tpe_cma, nsga, qmc or random "
-            "(docs/reference/samplers.md)"
+            "auto, gp_ei, gp_ucb, gp_me, tpe_independent, tpe_relative, cma, tpe_cma, trust_region, nsga, qmc or "
+            "random (docs/reference/samplers.md)"
         ),
     ] = None
     seed: Seed = None

@@ -151,5 +151,6 @@ class SharedTrials:
             slots=[slot],
             pending=pending,
             kappa_w=settings.kappa_w,
+            given=len(settings.given_points),
         )
         return drawn[0]
