@@ -33,7 +33,7 @@ from tools.measures._sampler_runs import (
 from tools.measures._side_by_side import side_by_side
 from tools.measures._summary import machine, rounded, summary
 from tunefree_hil.base.errors import InputError
-from tunefree_hil.tune.sampling.automatic_choice import SearchTask, choose_sampler, has_learn_modules
+from tunefree_hil.tune.sampling.automatic_choice import SearchTask, choose_sampler
 from tunefree_hil.tune.sampling.records import AUTO, NSGA, SAMPLERS
 from tunefree_hil.tune.store import exclusive_lock
 
@@ -173,8 +173,7 @@ def select_methods(text: str, request: Request, problem: Problem) -> tuple[str, 
 
 def choose_auto(problem: Problem, cell: Cell) -> str:
     """The sampler that `auto` is in such a search, without requirements; with several trials in flight in the batch."""
-    is_batch, has_torch = cell.in_flight > 1, has_learn_modules()
-    task = SearchTask(cell.budget, len(problem.space.axes), is_batch=is_batch, has_torch=has_torch)
+    task = SearchTask(cell.budget, len(problem.space.axes), is_batch=cell.in_flight > 1)
     return choose_sampler(task).sampler
 
 

@@ -12,11 +12,9 @@ from hypothesis import strategies as st
 
 from tests.bench.tiny import write_bench
 from tunefree_hil.jobs.options.records import TuneOptions
-from tunefree_hil.jobs.tune import options as tune_options
 from tunefree_hil.jobs.tune.folder import open_run_folder
 from tunefree_hil.jobs.tune.options import TunePlan, make_tune_plan
 from tunefree_hil.tune.sampling.automatic_choice import (
-    CRITERIA,
     ChoiceReason,
     SearchTask,
     choose_sampler,
@@ -31,7 +29,6 @@ TASKS = st.builds(
     objectives=st.integers(1, 3),
     is_batch=st.booleans(),
     has_requirements=st.booleans(),
-    has_torch=st.booleans(),
 )
 
 
@@ -39,7 +36,7 @@ TASKS = st.builds(
 def test_the_choice_can_do_the_task(task: SearchTask) -> None:
     choice = choose_sampler(task)
     record = BY_NAME[choice.sampler]
-    assert task.has_torch or not record.module
+    assert not record.module
     assert task.objectives == 1 or record.objectives
     text = describe_choice(choice, task)
     assert choice.sampler in text and "auto" in text
@@ -48,14 +45,11 @@ def test_the_choice_can_do_the_task(task: SearchTask) -> None:
 @pytest.mark.parametrize(
     ("task", "sampler", "reason"),
     [
-        (SearchTask(40, 11, has_torch=True), "gp_ei", ChoiceReason.FEW_TRIALS),
-        (SearchTask(40, 11), "tpe_independent", ChoiceReason.NO_TORCH),
-        (SearchTask(40, 11, is_batch=True, has_torch=True), "tpe_independent", ChoiceReason.FAST_TRIALS),
-        (SearchTask(40, 30, has_torch=True), "tpe_independent", ChoiceReason.MANY_PARAMETERS),
-        (SearchTask(5, 11, has_torch=True), "tpe_independent", ChoiceReason.MEDIUM_TRIALS),
-        (SearchTask(100, 11, has_torch=True), "tpe_independent", ChoiceReason.MEDIUM_TRIALS),
-        (SearchTask(200, 11, has_torch=True), "tpe_independent", ChoiceReason.MEDIUM_TRIALS),
-        (SearchTask(200, 11, has_requirements=True), "tpe_cma", ChoiceReason.MANY_TRIALS),
+        (SearchTask(40, 11), "trust_region", ChoiceReason.FEW_TRIALS),
+        (SearchTask(400, 11), "trust_region", ChoiceReason.FEW_TRIALS),
+        (SearchTask(199, 11, is_batch=True, has_requirements=True), "trust_region", ChoiceReason.FEW_TRIALS),
+        (SearchTask(200, 11, has_requirements=True), "trust_region", ChoiceReason.FEW_TRIALS),
+        (SearchTask(200, 11, is_batch=True, has_requirements=True), "tpe_cma", ChoiceReason.MANY_TRIALS),
         (SearchTask(800, 11), "tpe_cma", ChoiceReason.MANY_TRIALS),
         (SearchTask(800, 2), "tpe_independent", ChoiceReason.FEW_PARAMETERS),
         (SearchTask(100, 11, objectives=2), "tpe_independent", ChoiceReason.SEVERAL_OBJECTIVES),
@@ -72,33 +66,21 @@ def plan(folder: Path, **more: Any) -> TunePlan:
 
 def test_a_run_has_the_chosen_sampler_and_the_reason(tmp_path: Path) -> None:
     resolved = plan(tmp_path, trials=10)
-    assert resolved.settings.sampler == "tpe_independent" and "tpe_independent" in resolved.sampler_text
+    assert resolved.settings.sampler == "trust_region" and "trust_region" in resolved.sampler_text
     with open_run_folder(resolved) as (run, _):
         record = json.loads((run.path / "run.json").read_text())
-    assert record["settings"]["sampler"] == record["options"]["sampler"] == "tpe_independent"
-    assert record["sampler_choice"] == {"sampler": "tpe_independent", "reason": "medium_trials"}
+    assert record["settings"]["sampler"] == record["options"]["sampler"] == "trust_region"
+    assert record["sampler_choice"] == {"sampler": "trust_region", "reason": "few_trials"}
 
 
-def test_a_resumed_run_keeps_the_sampler_whatever_auto_would_choose_now(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tune_options, "has_learn_modules", lambda: False)
-    with open_run_folder(plan(tmp_path, trials=CRITERIA.least_gp_trials)) as (run, _):
+def test_a_resumed_run_keeps_the_sampler_whatever_auto_would_choose_now(tmp_path: Path) -> None:
+    with open_run_folder(plan(tmp_path, trials=10)) as (run, _):
         pass
-    monkeypatch.setattr(tune_options, "has_learn_modules", lambda: True)
-    assert plan(tmp_path, trials=CRITERIA.least_gp_trials).settings.sampler == "gp_ei"
+    assert plan(tmp_path, trials=800).settings.sampler != "trust_region"
     for trials in (None, 800):
         resumed = make_tune_plan(TuneOptions(resume=run.path, trials=trials))
-        assert resumed.settings.sampler == "tpe_independent" and resumed.sampler_choice is None
+        assert resumed.settings.sampler == "trust_region" and resumed.sampler_choice is None
     record = json.loads((run.path / "run.json").read_text())
     del record["options"]  # a run of an earlier version
     (run.path / "run.json").write_text(json.dumps(record))
-    assert make_tune_plan(TuneOptions(resume=run.path, trials=800)).settings.sampler == "tpe_independent"
-
-
-def test_the_workers_of_a_shared_study_choose_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    address = "postgresql://user:word@127.0.0.1:1/db#study"
-    monkeypatch.setattr(tune_options, "has_learn_modules", lambda: True)
-    shared = plan(tmp_path, trials=CRITERIA.least_gp_trials, study=address)
-    assert shared.settings.sampler == "tpe_independent"
-    assert plan(tmp_path, trials=CRITERIA.least_gp_trials).settings.sampler == "gp_ei"
+    assert make_tune_plan(TuneOptions(resume=run.path, trials=800)).settings.sampler == "trust_region"

@@ -28,7 +28,6 @@ from tunefree_hil.tune.sampling.automatic_choice import (
     SearchTask,
     choose_sampler,
     describe_choice,
-    has_learn_modules,
 )
 from tunefree_hil.tune.shared.server import parse_address
 from tunefree_hil.tune.space import Space, resolve_space
@@ -164,14 +163,13 @@ def _study_settings(
 
 
 def _search_task(options: TuneOptions, settings: StudySettings, trials: int) -> SearchTask:
-    """What `auto` chooses by. The workers of a shared study must choose the same, with torch or without."""
+    """What `auto` chooses by. The same for all workers of a shared study."""
     return SearchTask(
         trials=trials,
         parameters=len(settings.space.axes),
         objectives=max(1, len(settings.objectives)),
         is_batch=options.backend == BATCH,
         has_requirements=bool(settings.requirements),
-        has_torch=not options.study and has_learn_modules(),
     )
 
 

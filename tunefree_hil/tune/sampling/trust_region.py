@@ -4,8 +4,8 @@ doi:10.5281/zenodo.10655367), with TPE beside it.
 The first trials of a search are often manual sets, which drive. Near them the score is smooth, and a quadratic model of
 few trials leads down faster than any sampler that begins with random points, of which half do not drive. The points of
 the first model do not depend on scores, so they are tried at the same time; later ones come one after the other, and
-the other slots of a generation get points of TPE. Where a search has converged, some trials of TPE follow, and it begins
-again at the best trial of all.
+the other slots of a generation get points of TPE. Where a search has converged, some trials of TPE follow, and it
+begins again at the best trial of all.
 
 COBYQA is run against the finished trials: a point that it asks for and that was tried gets the score of that trial, and
 the first point without a score is the suggestion. So a suggestion is a function of the arguments alone.
@@ -139,6 +139,13 @@ class LocalSearches:
                 self._close()
                 _remember(self._first_models, start, _draw_first_model(start))
             return self._first_models[start]
+
+    def forget(self) -> None:
+        """Forget all searches, as in a new process."""
+        with self._lock:
+            self._close()
+            self._converged.clear()
+            self._first_models.clear()
 
     def _continue(self, key: SearchKey, known: Mapping[Values, float]) -> LocalSearch:
         """The open search where it is this one and has got these values, else a new one."""
