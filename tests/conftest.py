@@ -31,6 +31,8 @@ LEARNING = (
     "tools/test_actuators_measure.py",
     "tools/gap_exam/test_exam.py",
     "tools/test_gap_exam_measure.py",
+    "tune/weight_regression/",
+    "jobs/weights/",
 )
 
 # Slow ones so marked are no part of `make test`; "tooling" neither, but it keeps its place among real processes.

@@ -61,7 +61,7 @@ TUNE = st.builds(
     join=st.booleans(), session=NAMES, out=perhaps(PATHS), resume=perhaps(PATHS), verify=perhaps(st.booleans()),
     study=perhaps(NAMES), backend=st.sampled_from(["bus", "batch"]), benches=st.integers(0, 4),
     in_flight=st.integers(0, 9), realtime=st.booleans(), controller=st.just("") | NAMES,
-    confirm=perhaps(st.integers(1, 9)),
+    confirm=perhaps(st.integers(1, 9)), objectives=perhaps(st.sampled_from(["score", "tracking,comfort"])),
 )  # fmt: skip
 GAP = st.builds(
     Gap, logs=st.lists(PATHS, min_size=1, max_size=3), vehicle=NAMES, model=NAMES, out=PATHS,

@@ -25,7 +25,8 @@ from tunefree_hil.config.load import load_bench, load_model, load_vehicle
 SHIPPED = sorted(path.parent for path in tool.MODELS.glob("*/card.json"))
 LEARNED = [load_bench(path) for path in sorted((ROOT / "bench_configs").glob("*.toml"))]
 LEARNED = [spec for spec in LEARNED if tool.MODELS / spec.model in SHIPPED]
-BENCHES = [Path(spec.path) for spec in LEARNED if spec.roads is None]  # those with made roads have no counterpart
+# those with made roads or with other parameters have no counterpart
+BENCHES = [Path(spec.path) for spec in LEARNED if spec.roads is None and spec.tune.set]
 DRIVEN_S = 5.0
 
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tools.measures._ledger import ROOT
 from tools.measures._summary import rounded
 from tools.measures._weights_recorded import (
     COMPARED,
@@ -59,19 +60,24 @@ class RankedKind(NamedTuple):
         return [pair.group for pair in self.pairs]
 
 
+def learned_bench_files() -> list[Path]:
+    """The bench file on the learned plant of each vehicle, as tools/make_models.py names them."""
+    return sorted((ROOT / "bench_configs").glob("*_learned.toml"))
+
+
 def measure(
-    roads: int = 30, sets: int = 20, seed: int = 4711, benches: str = "mkz_learned.toml,van_learned.toml",
+    roads: int = 30, sets: int = 20, seed: int = 4711, benches: str = "",
     recorded: int = 1,
 ) -> dict[str, Any]:  # fmt: skip
     """`sets` random sets of gains and the manual ones against three drivers on `roads` made roads of each vehicle.
 
-    benches: bench files with commas between. recorded: 0 without the recorded drives, which need the shared data.
+    benches: bench files with commas between; default: the one on the learned plant of each vehicle. recorded: 0 without the recorded drives, which need the shared data.
     """
     base = load_weights("default")
     detail: dict[str, Any] = {}
     right: list[float] = []
     n_pairs = 0
-    for path in bench_files(benches):
+    for path in bench_files(benches) if benches else learned_bench_files():
         bench = load(path)
         pairs, n_all = _model_pairs(Path(path), WeightsOptions(Path("none.toml"), roads=roads, sets=sets, seed=seed))
         ranked = _regress(pairs, base, seed)

@@ -11,7 +11,7 @@ from tunefree_hil.jobs.weights.options import WeightsOptions
 
 @command("weights")
 def weights(options: WeightsOptions) -> Iterable[Event]:
-    """Regress the weights of a score from human and generated drives.
+    """Regress the weights of a score from pairs of drives.
 
     The human drive of a pair should have the lower score. Whole roads are held out to say how well the weights rank.
     Run the same command again to continue after an interruption. Exit status 2 where the pairs contradict each other.

@@ -7,11 +7,11 @@ from typing import Literal
 from msgspec import field
 
 from tunefree_hil.config.problem import ConfigProblem, Problems
+from tunefree_hil.config.tuning.car_limit import MOST_CARS
 from tunefree_hil.config.vehicle_schema import Spec
 
 FACTORS = ("dead_time", "lag", "mass", "friction", "steer_gain")
 FACTOR_BOUNDS = (0.2, 5.0)  # a factor beyond it makes another vehicle, not the same one a little different
-MOST_CARS = 64
 MOST_PERCENT = 100.0
 
 

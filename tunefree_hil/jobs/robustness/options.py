@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-from tunefree_hil.config.tuning.ensemble_schema import MOST_CARS
+from tunefree_hil.config.tuning.car_limit import MOST_CARS
 from tunefree_hil.jobs.options.option import Option, RunPath
 
 DEFAULT_ROADS, DEFAULT_CARS = "robust:1000", 49
