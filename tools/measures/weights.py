@@ -71,7 +71,8 @@ def measure(
 ) -> dict[str, Any]:  # fmt: skip
     """`sets` random sets of gains and the manual ones against three drivers on `roads` made roads of each vehicle.
 
-    benches: bench files with commas between; default: the one on the learned plant of each vehicle. recorded: 0 without the recorded drives, which need the shared data.
+    benches: bench files with commas between; default: the one on the learned plant of each vehicle.
+    recorded: 0 without the recorded drives, which need the shared data.
     """
     base = load_weights("default")
     detail: dict[str, Any] = {}

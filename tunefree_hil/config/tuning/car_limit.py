@@ -1,3 +1,3 @@
-"""How many cars an ensemble has, for the schema and for the options of commands, which import no more than they need."""
+"""How many cars an ensemble may have: apart, as the options of commands import it and must start fast."""
 
 MOST_CARS = 64
