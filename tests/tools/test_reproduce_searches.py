@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 
 from tests.house import ROOT
 from tools.reproduction.records import read_record
+from tools.reproduction.runner import NAMES
 
 TOOL = ROOT / "tools" / "reproduce"
 DEADLINE_S = 100.0
@@ -62,3 +64,19 @@ def test_a_part_that_was_killed_goes_on_and_gives_what_a_whole_run_gives(tmp_pat
     assert records[0].record == records[1].record and records[0].origin.is_quick
     assert json.loads((cut / "out" / "fig10.json").read_text(encoding="utf-8"))["name"] == "fig10"
     assert (cut / "out" / "fig10.png").stat().st_size > 20_000 and not (cut / "out" / "reproduction.md").exists()
+
+
+@pytest.mark.timeout(1200)
+def test_all_parts_and_the_page_are_made_by_one_command(tmp_path: Path) -> None:
+    command = [sys.executable, str(TOOL), "--quick", "--out", str(tmp_path / "out"), "--work", str(tmp_path / "work")]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "TUNEFREE_JIT": "0"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    (page,) = (tmp_path / "out").rglob("*.md")
+    text = page.read_text("utf-8")
+    assert "Quick run" in text
+    for name in NAMES:
+        assert read_record(next((tmp_path / "out").rglob(f"{name}.json"))) is not None
+    pictures = set(re.findall(r"\]\(([^)]+\.png)\)", text))
+    assert len(pictures) >= 8
+    assert all((page.parent / picture).stat().st_size > 10_000 for picture in pictures)

@@ -86,13 +86,29 @@ NOT_RUN = {
         "boots an emulated machine for ten minutes",
         "tests/tools/test_vcan_measure.py::test_cut_off_it_goes_on_with_what_is_missing",
     ),
+    "tunefree-hil weights pairs.toml --out weights/my.toml": NotRun(
+        "it needs drives of a person",
+        "tests/jobs/weights/test_weights.py::test_weights_of_a_file_of_pairs_are_used_by_a_bench",
+    ),
     "tunefree-hil COMMAND": NO_COMMAND,
     "tunefree-hil gap LOG... --vehicle DIR --model MODEL --out OUT [--older LOG]..."
     " [--until locate|name|repair|verify] [--workers N] [--drive --bench BENCH [--bus BUS]]": NO_COMMAND,
 }
 
 PIP = "it would install the copy in place of the checkout: pip resolves only, and every requirement must be there"
+SWEEP = "--roads families:12 --cars 2 --allowed 12"
 SHORTENED = {
+    "tunefree-hil robustness RUN --public": Shortened(f"tunefree-hil robustness RUN {SWEEP}", "1,229 roads"),
+    "tunefree-hil robustness RUN --scheduler tcp://ADDRESS:8786": Shortened(
+        f"tunefree-hil robustness RUN {SWEEP} --scheduler tcp://ADDRESS:8786", "1,000 roads"
+    ),
+    "tunefree-hil weights --bench bench_configs/mkz_learned.toml --out weights/my.toml": Shortened(
+        "tunefree-hil weights --bench bench_configs/mkz_learned.toml --out weights/my.toml --roads 4 --force",
+        "40 roads take minutes; of four, held-out pairs may be ranked no better than by chance",
+    ),
+    "tunefree-hil tune BENCH --sampler NAME": Shortened(
+        "tunefree-hil tune BENCH --sampler NAME --trials 2 --no-verify", "30 trials"
+    ),
     "make tune": Shortened('make tune ARGS="--trials 8 --confirm 1"', "400 trials take minutes"),
     "tunefree-hil tune bench_configs/mkz_complete.toml --backend batch --trials 400": Shortened(
         "tunefree-hil tune bench_configs/mkz_complete.toml --backend batch --trials 40 --confirm 1 --no-verify",
@@ -130,7 +146,7 @@ SHORTENED = {
 }
 
 # Commands which go on until their reader stops them: they run while the rest of their page does.
-STAYS = ("tunefree-hil hub", "tunefree-hil ecu", "tunefree-hil controller")
+STAYS = ("tunefree-hil hub", "tunefree-hil ecu", "tunefree-hil controller", "dask scheduler", "dask worker")
 # Commands which want a terminal: what is typed there to end them, as soon as SEEN is there.
 TERMINAL = {"cantools monitor": b"q"}
 TERMINAL_S = 60.0  # typed by then in any case
@@ -138,7 +154,9 @@ TERMINAL_S = 60.0  # typed by then in any case
 # What a page leaves to its reader to fill in, as this test fills it in.
 FILLED_IN = {
     "docs/how-to/logs.md": {"DIR": "dbc/mkz_bywire", "--format NAME": "--format blf", "PATH": "rav4_drive"},
-    "docs/how-to/machines.md": {"RUN": TUNED},
+    "docs/how-to/machines.md": {"RUN": TUNED, "ADDRESS": "127.0.0.1"},
+    "docs/how-to/robustness.md": {"RUN": TUNED},
+    "docs/reference/samplers.md": {"BENCH": STEER, "NAME": "trust_region"},
     "docs/how-to/own_controller.md": {"BENCH": STEER},
     "docs/how-to/vehicle.md": {
         "dbc/NAME": f"dbc/{LATER_VEHICLE}",
@@ -156,6 +174,11 @@ FILLED_IN = {
 RECORD = f"tunefree-hil drive {STEER} --out made && cp made/*/episodes/0/vehicle.log"
 # What a page takes as given, made before its commands.
 GIVEN = {
+    "docs/how-to/export.md": (
+        f"tunefree-hil tune {STEER} --trials 1 --no-verify --out made",
+        "mkdir runs && mv made/* runs/20260101-120000-mkz_steer",
+    ),
+    "docs/how-to/robustness.md": (f"tunefree-hil tune {STEER} --trials 1 --no-verify",),
     "docs/how-to/logs.md": (f"{RECORD} LOG && cp LOG IN",),
     "docs/reference/grading.md": (
         f"tunefree-hil tune {STEER} --trials 1 --no-verify --out made && mkdir -p runs path/to && mv made/* runs/x",
