@@ -78,5 +78,5 @@ def test_all_parts_and_the_page_are_made_by_one_command(tmp_path: Path) -> None:
     for name in NAMES:
         assert read_record(next((tmp_path / "out").rglob(f"{name}.json"))) is not None
     pictures = set(re.findall(r"\]\(([^)]+\.png)\)", text))
-    assert len(pictures) >= 8
+    assert len(pictures) == sum(name.startswith("fig") for name in NAMES)
     assert all((page.parent / picture).stat().st_size > 10_000 for picture in pictures)
