@@ -56,20 +56,28 @@ class LocalSearch:
         self.answers: list[tuple[Values, float]] = []  # points with their values, as they were given to it
         self._points: SimpleQueue[np.ndarray | None] = SimpleQueue()
         self._values: SimpleQueue[float | None] = SimpleQueue()
+        self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, args=(start,), daemon=True, name="trust region")
         self._thread.start()
-        self.point = self._points.get()
+        self.point = self._next_point()
 
     def tell(self, values: Values, value: float) -> None:
         """Give the value of `point`; `point` is then the next one, None where the search has converged."""
         self.answers.append((values, value))
         self._values.put(value)
-        self.point = self._points.get()
+        self.point = self._next_point()
 
     def close(self) -> None:
         """End the thread."""
         self._values.put(None)
         self._thread.join()
+
+    def _next_point(self) -> np.ndarray | None:
+        """Wait for the next point; an error of COBYQA is raised here."""
+        point = self._points.get()
+        if self._error is not None:
+            raise self._error
+        return point
 
     def _run(self, start: np.ndarray) -> None:
         from scipy.optimize import minimize  # here, since it takes a second
@@ -83,6 +91,8 @@ class LocalSearch:
             minimize(self._evaluate, start, method="COBYQA", bounds=[(0.0, 1.0)] * len(start), options=options)
         except SearchClosed:
             return
+        except Exception as error:
+            self._error = error
         finally:
             self._points.put(None)
 
