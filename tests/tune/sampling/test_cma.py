@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from tests.tune.drive_study import SPACE, Parameter
 from tunefree_hil.tune.sampling import TPE_CMA, ScoredPoint, suggest_point, suggest_points
-from tunefree_hil.tune.sampling.cma import CRITERIA, population_size, rank_value, suggest_cma_points
+from tunefree_hil.tune.sampling.cma import CRITERIA, population_size, suggest_cma_points
 from tunefree_hil.tune.sampling.points import from_unit, to_unit
+from tunefree_hil.tune.sampling.ranking import rank_value
 from tunefree_hil.tune.space import Space, make_space
 
 BOWL = make_space([Parameter(f"p{i}", 0.01, 1.0) for i in range(6)])

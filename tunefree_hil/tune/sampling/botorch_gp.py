@@ -1,7 +1,7 @@
 """Suggestions of a Gaussian process by BoTorch: upper confidence bound (paper, eq. 8), and maximum entropy.
 
 The process models the negative logarithm of the score, which grows with the violation of the requirements
-(`rank_value` of cma.py). Columns of the model are the places of the parameters in the unit box; a choice has a column
+(`rank_value`). Columns of the model are the places of the parameters in the unit box; a choice has a column
 for each value. The acquisition is maximised for each combination of the choices, or with relaxed choices where there
 are many; steps are relaxed. Then each maximum is moved to the nearest allowed point and judged there.
 
@@ -28,7 +28,6 @@ from botorch.sampling import SobolQMCNormalSampler
 from gpytorch.mlls import ExactMarginalLogLikelihood
 from gpytorch.utils.warnings import GPInputWarning, NumericalWarning
 
-from tunefree_hil.tune.sampling.cma import rank_value
 from tunefree_hil.tune.sampling.points import (
     ScoredPoint,
     derive_slot_seed,
@@ -38,6 +37,7 @@ from tunefree_hil.tune.sampling.points import (
     value_from_share,
 )
 from tunefree_hil.tune.sampling.quasi_random import draw_sobol_units
+from tunefree_hil.tune.sampling.ranking import rank_value
 from tunefree_hil.tune.space import Space
 
 

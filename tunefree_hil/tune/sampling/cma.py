@@ -10,17 +10,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from cmaes import CMA
 
 from tunefree_hil.tune.sampling.points import from_unit, to_unit
+from tunefree_hil.tune.sampling.ranking import RankedPoint, rank_value
 from tunefree_hil.tune.space import Space
 
 
 class CmaCriteria(NamedTuple):
-    """Where CMA-ES begins, and how it ranks. A spread is in parts of each parameter's range on its scale."""
+    """Where CMA-ES begins. A spread is in parts of each parameter's range on its scale."""
 
     start_trials: int = 64  # trials of the other sampler: the manual sets and TPE, eight generations of a batch
     start_spread: float = 0.15  # standard deviation: two of it reach a third of the range to each side
@@ -30,26 +31,9 @@ class CmaCriteria(NamedTuple):
     # populations are multiples of it, close to the default of CMA-ES: 4 + 3 ln(parameters). Where a batch of trials
     # reaches beyond a population, its last points come from the strategy before the update
     population_step: int = 4
-    # a violation of 20 % doubles a score; ranked behind all others, as TPE ranks them, points beyond a limit by 1 %
-    # would hide from the strategy the best ones, which lie along the limits
-    violation_weight: float = 5.0
-    most_violation: float = 20.0  # a failed drive is 100; all failures are equally bad
 
 
 CRITERIA = CmaCriteria()
-
-
-class RankedPoint(Protocol):
-    """Parameters with what ranks them; `ScoredPoint` of sampling.py."""
-
-    @property
-    def parameters(self) -> dict[str, float]: ...
-
-    @property
-    def score(self) -> float: ...
-
-    @property
-    def violation(self) -> float | None: ...
 
 
 class CmaStart(NamedTuple):
@@ -135,11 +119,6 @@ def population_size(parameters: int) -> int:
     """The default population of CMA-ES, rounded up to a multiple of `population_step`."""
     default = 4 + math.floor(3.0 * math.log(parameters))
     return CRITERIA.population_step * math.ceil(default / CRITERIA.population_step)
-
-
-def rank_value(point: RankedPoint) -> float:
-    """Orders points: the score, which grows with the violation of the requirements."""
-    return point.score * (1.0 + CRITERIA.violation_weight * min(point.violation or 0.0, CRITERIA.most_violation))
 
 
 def _make_strategy(start: CmaStart, seed: int) -> CMA:

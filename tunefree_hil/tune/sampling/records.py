@@ -51,7 +51,7 @@ class ConstraintUse(StrEnum):
     """How a sampler knows the requirements."""
 
     MODELLED = "constraint"  # as a constraint of its own
-    RANKED = "ranked"  # the score grows with the violation (cma.py, `rank_value`)
+    RANKED = "ranked"  # the score grows with the violation (`rank_value`)
     NONE = "none"
 
 

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tunefree_hil.tune.sampling.cma import rank_value
 from tunefree_hil.tune.sampling.points import ScoredPoint, from_unit, sampler_value_from_score, to_unit
+from tunefree_hil.tune.sampling.ranking import rank_value
 from tunefree_hil.tune.space import Axis, Space
 
 MAX_EVALUATIONS = 100_000  # of one search; it converges long before
