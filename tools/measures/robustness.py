@@ -11,6 +11,7 @@ import numpy as np
 from tools.measures._ledger import FOLDER, code_hash
 from tools.measures._summary import machine, rounded
 from tunefree_hil.base.events import Event
+from tunefree_hil.config.load import load_bench
 from tunefree_hil.jobs.drive import new_session_name
 from tunefree_hil.jobs.options.records import TuneOptions
 from tunefree_hil.jobs.robustness.options import DEFAULT_CARS, DEFAULT_ROADS, RobustnessOptions
@@ -48,10 +49,11 @@ def measure(
 
 def _tuned_run(bench: Path, trials: int, root: Path) -> Path:
     """A finished tune of the bench file in `root`; one that was cut off goes on."""
+    wanted = trials or load_bench(bench).tune.trials
     for path in sorted(root.glob("*/run.json"), reverse=True):
         made = open_run(path.parent)
         asked = made.record.get("options", {}).get("trials")
-        if made.record.get("complete") and made.record.get("bench") == str(bench) and trials in (0, asked):
+        if made.record.get("complete") and made.record.get("bench") == str(bench) and asked == wanted:
             return path.parent
     options = TuneOptions(bench, trials or None, verify=False, out=root, session=new_session_name())
     return Path(_follow(tune(options), [])["run"])

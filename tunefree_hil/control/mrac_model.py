@@ -99,7 +99,6 @@ def start_gains(t_ref_s: float, vehicle: VehicleConstants, settings: Settings) -
     order = settings.mrac_order
     if settings.mrac_form == "paper" or vehicle.steer_rise_time_s <= 0.0:
         return StartGains((0.0,) * order, 1.0)
-    ratio = actuator_tau_s(vehicle) / t_ref_s
     if order == 2:
         # Natural frequency 1.8 / rise time; damping 1 without a settling time.
         natural = 1.8 / vehicle.steer_rise_time_s
@@ -107,7 +106,7 @@ def start_gains(t_ref_s: float, vehicle: VehicleConstants, settings: Settings) -
         wish, damping = settings.mrac_natural_radps, settings.mrac_damping
         gains = (1.0 - wish * wish / square, 2.0 * (natural - damping * wish) / square)
         return StartGains(gains, wish * wish / square)
-    unit_s = time_unit_s(t_ref_s, settings, vehicle)
+    ratio, unit_s = actuator_tau_s(vehicle) / t_ref_s, time_unit_s(t_ref_s, settings, vehicle)
     return StartGains(tuple((1.0 - ratio) * share for share in lead_shares(settings, vehicle, unit_s)), ratio)
 
 

@@ -250,3 +250,9 @@ def test_the_robust_law_has_order_1_only(settings: Settings) -> None:
 
 def test_the_bench_file_has_the_orders_that_there_are() -> None:
     assert get_args(get_type_hints(ControllerSpec)["mrac_order"]) == tuple(range(1, LARGEST_ORDER + 1))
+
+
+def test_order_2_has_no_reference_time_constant() -> None:
+    """Its reference model is given by natural frequency and damping."""
+    settings = Settings(mrac_order=2)
+    assert start_gains(0.0, MKZ, settings) == start_gains(0.09, MKZ, settings)

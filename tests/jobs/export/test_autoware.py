@@ -11,7 +11,8 @@ from tests.jobs.export.made_values import PREVIEW, make_values, texts
 from tests.jobs.export.read_back import read_csv, read_yaml
 from tunefree_hil.control.lateral.lqr import LATERAL_RATIO, SCHEDULE_MPS
 from tunefree_hil.control.parameters import round32
-from tunefree_hil.jobs.export.autoware import export_autoware
+from tunefree_hil.jobs.export.autoware import converter_keys, export_autoware
+from tunefree_hil.jobs.export.pedal_maps import PedalMap
 from tunefree_hil.jobs.export.remarks import RemarkKind
 from tunefree_hil.jobs.export.values import ExportValues
 
@@ -84,3 +85,13 @@ def test_an_unknown_lateral_part_leaves_the_delays_only(made: ExportValues) -> N
     export = export_autoware(made._replace(parts=made.parts._replace(lateral="pursuit")))
     mpc = read_yaml(texts(export)["mpc.param.yaml"])
     assert "input_delay" in mpc and not any(name.startswith("mpc_weight") for name in mpc)
+
+
+def test_the_largest_pedals_count_from_rest(made: ExportValues) -> None:
+    """The limits of a vehicle folder are whole duties, Autoware's pedals begin at rest."""
+    rest_frac = made.vehicle.rest_pedal_frac
+    throttle, brake = (PedalMap(1.0, np.array([0.0, 1.0]), np.zeros(1), np.zeros((2, 1))) for _ in range(2))
+    keys = converter_keys(made, throttle, brake)
+    assert rest_frac > 0.0
+    assert keys["max_throttle"] == pytest.approx(made.vehicle.throttle_limit_frac - rest_frac)
+    assert keys["max_brake"] == pytest.approx(made.vehicle.brake_limit_frac - rest_frac)

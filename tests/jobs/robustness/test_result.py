@@ -86,7 +86,7 @@ def test_a_winner_without_a_failure_passes_and_its_nearest_drive_is_shown(tmp_pa
     [drive] = find_worst_drives(plan, result, 4)
     assert drive.road == 7 and is_passed(result, 0) and family_table(plan, result) == []
     said = sentence(plan, result)
-    assert said.startswith("PASSED: the winner fails on none of 20 roads (below 14 % with 95 % confidence)")
+    assert said.startswith("PASSED: the winner fails on none of 20 roads (95 % interval 0 to 17 %)")
     assert "nearest to a limit" in said and "lateral_error_peak_m 0.45 <= 0.5" in said
 
 

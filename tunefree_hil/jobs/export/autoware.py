@@ -166,7 +166,8 @@ def longitudinal_remarks(source: ExportValues) -> list[Remark]:
 
 def converter_keys(source: ExportValues, throttle: PedalMap, brake: PedalMap) -> dict[str, Any]:
     """Keys of the command converter. The steering goes through a constant ratio: the steering wheel's angle."""
-    limit_rad = source.vehicle.steer_limit_rad
+    vehicle, limit_rad = source.vehicle, source.vehicle.steer_limit_rad
+    rest_frac = vehicle.rest_pedal_frac  # pedals count from rest there, the vehicle's limits do not
     return {
         "csv_path_accel_map": ACCEL_MAP,
         "csv_path_brake_map": BRAKE_MAP,
@@ -177,8 +178,8 @@ def converter_keys(source: ExportValues, throttle: PedalMap, brake: PedalMap) ->
         "vgr_coef_a": source.vehicle.steer_ratio,
         "vgr_coef_b": 0.0,
         "vgr_coef_c": 0.0,
-        "max_throttle": min(float(throttle.pedal_frac[-1]), source.vehicle.throttle_limit_frac),
-        "max_brake": min(float(brake.pedal_frac[-1]), source.vehicle.brake_limit_frac),
+        "max_throttle": min(float(throttle.pedal_frac[-1]), vehicle.throttle_limit_frac - rest_frac),
+        "max_brake": min(float(brake.pedal_frac[-1]), vehicle.brake_limit_frac - rest_frac),
         "max_steer": limit_rad,
         "min_steer": -limit_rad,
     }

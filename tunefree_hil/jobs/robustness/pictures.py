@@ -15,12 +15,12 @@ from tunefree_hil.figures.robustness import (
     draw_failure_shares,
 )
 from tunefree_hil.figures.style import save
-from tunefree_hil.jobs.robustness.failure_share import FailureShare
 from tunefree_hil.jobs.robustness.judgement import DriveState
 from tunefree_hil.jobs.robustness.physical_limits import peak_demand
 from tunefree_hil.jobs.robustness.plan import SweepPlan
 from tunefree_hil.jobs.robustness.result import SweepResult, family_shares
 from tunefree_hil.jobs.robustness.text import share_text
+from tunefree_hil.tune.failure_share import FailureShare
 
 MAP, SHARES = "failure_map.png", "failure_shares.png"
 STATE_NAMES = {

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 from tunefree_hil.grade.requirements.limits import RequirementLimits
 from tunefree_hil.jobs.robustness.driving.chunk import DriveRow
-from tunefree_hil.jobs.robustness.failure_share import FailureShare, failure_share
 from tunefree_hil.jobs.robustness.judgement import DriveJudgement, DriveState, judge_row
 from tunefree_hil.jobs.robustness.physical_limits import PhysicalExcess, ability_of, find_physical_excesses
 from tunefree_hil.jobs.robustness.plan import SweepDrive, SweepPlan
+from tunefree_hil.tune.failure_share import FailureShare, compute_failure_share
 
 
 class CarOnRoad(NamedTuple):
@@ -105,7 +105,7 @@ def judge_sweep(plan: SweepPlan, rows: Iterable[DriveRow], limits: RequirementLi
 def share_of_states(states: Iterable[DriveState]) -> FailureShare:
     """The share of those that are not PASSED."""
     failed = [state is not DriveState.PASSED for state in states]
-    return failure_share(sum(failed), len(failed))
+    return compute_failure_share(sum(failed), len(failed))
 
 
 def family_shares(plan: SweepPlan, states: Mapping[int, DriveState]) -> dict[str, FailureShare]:

@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 from tunefree_hil.grade.requirements.judgement import result_text
-from tunefree_hil.jobs.robustness.failure_share import FailureShare
 from tunefree_hil.jobs.robustness.judgement import OSCILLATION, REPLAN, REQUIREMENT, DriveJudgement, DriveState
 from tunefree_hil.jobs.robustness.physical_limits import PhysicalExcess
 from tunefree_hil.jobs.robustness.plan import SweepDrive, SweepPlan
 from tunefree_hil.jobs.robustness.result import CarOnRoad, SweepResult, family_shares
+from tunefree_hil.tune.failure_share import FailureShare
 
 PASSED, FAILED = "PASSED", "FAILED"  # first word of the sentence, and "verdict" of the result
 HEAD = ("", "failed roads", "95 % interval", "stability lost", "requirement missed", "nominal car", "other cars")
@@ -27,7 +27,7 @@ def plan_text(plan: SweepPlan) -> str:
 def share_text(share: FailureShare) -> str:
     """'3 of 1229 roads (0.24 %, 95 % interval 0.05 to 0.71 %)'; of no failure the upper bound alone."""
     if not share.failed:
-        return f"none of {share.n} roads (below {100.0 * share.high:.2g} % with 95 % confidence)"
+        return f"none of {share.n} roads (95 % interval 0 to {100.0 * share.high:.2g} %)"
     low, high = 100.0 * share.low, 100.0 * share.high
     return f"{share.failed} of {share.n} roads ({100.0 * share.share:.2g} %, 95 % interval {low:.2g} to {high:.2g} %)"
 

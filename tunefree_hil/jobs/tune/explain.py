@@ -323,7 +323,7 @@ def _importance_lines(importances: Mapping[str, Importance], purpose: str) -> li
     n = next(iter(importances.values())).n
     lines = [f"importance of the parameters{purpose} (PED-ANOVA and rank correlation, n = {n} trials):"]
     for name, importance in importances.items():
-        share = "too few trials" if importance.share is None else f"{100.0 * importance.share:5.1f} %"
+        share = "no share" if importance.share is None else f"{100.0 * importance.share:5.1f} %"
         lines.append(f"  {name:<28}{share:>9}  rank correlation {importance.rank:+.2f}")
     return lines
 

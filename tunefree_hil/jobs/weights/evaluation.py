@@ -20,6 +20,7 @@ from tunefree_hil.grade.weight_regression.ranking import (
     AccuracyInterval,
     accuracy_interval,
     margins_of_other_weights,
+    ranking_accuracy,
 )
 from tunefree_hil.jobs.identity import data_sha256
 from tunefree_hil.tune.weight_regression.cross_validation import Regression
@@ -92,7 +93,8 @@ def evaluate_regression(
     }
     folds = regression.held_out.folds
     fold_accuracies = {
-        name: tuple(float(np.mean(values[fold] > 0.0)) for fold in folds) for name, values in margins.items()
+        name: tuple(ranking_accuracy(values[fold][np.isfinite(values[fold])]) for fold in folds)
+        for name, values in margins.items()
     }
     unmet = np.maximum(margin - score_margins(table, regression.fit.multipliers), 0.0)
     refusals = list_refusals(ranked, accuracies[ALL][REGRESSED])

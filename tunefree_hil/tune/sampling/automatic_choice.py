@@ -1,4 +1,4 @@
-"""`sampler = "auto"`: which sampler a search gets, from how many trials it has and what a trial costs."""
+"""`sampler = "auto"`: which sampler a search gets, by its trials, parameters, objectives and requirements."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class AutomaticCriteria(NamedTuple):
     # score was below that of independent TPE by 3 to 5 % at 50 trials, and within 1.5 % of it at 100 to 400. A small
     # sample; `tools/measure samplers` asks with more seeds
     least_cma_trials: int = 401
-    # with requirements it is used from here, as it goes along the limits, where the best sets are
+    # with requirements it is used from here in the batch, as it goes along the limits, where the best sets are
     least_cma_trials_required: int = 200
     least_cma_parameters: int = 3  # with 2 all samplers come to the same score
     # TPE with several objectives needs fewer trials than NSGA-II (Ozaki et al. 2022, doi:10.1613/jair.1.13188): on two
@@ -34,7 +34,7 @@ class SearchTask(NamedTuple):
     trials: Of the whole search.
     parameters: Number of searched parameters.
     objectives: Number of objectives.
-    is_batch: Several trials are tried at the same time, in the batch.
+    is_batch: The trials are driven in the batch, several at the same time; few of them would be of the local search.
     has_requirements: The search keeps limits.
     """
 

@@ -67,6 +67,8 @@ def suggest_points(
     if sampler == records.TRUST_REGION:
         local = suggest_local_points(space, history, given=given, count=len(slots), pending=pending)
         pending, slots, sampler = [*pending, *local], slots[len(local) :], records.TPE_INDEPENDENT
+        if not slots:
+            return local
         return local + suggest_by_optuna(space, history, sampler=sampler, seed=seed, slots=slots, pending=pending)
     if sampler == records.CMA:
         return cma.suggest_cma_points_from_start(space, history, seed=seed, count=len(slots), pending=pending)

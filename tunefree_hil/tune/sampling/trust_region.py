@@ -91,7 +91,7 @@ class LocalSearch:
             minimize(self._evaluate, start, method="COBYQA", bounds=[(0.0, 1.0)] * len(start), options=options)
         except SearchClosed:
             return
-        except Exception as error:
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
             self._error = error
         finally:
             self._points.put(None)

@@ -44,7 +44,7 @@ def test_the_text_says_what_the_winner_costs_against_both_ends() -> None:
     )
     assert "no trial has a lower tracking cost" in trade_text(trade_data(TRADED, 0))
     assert trade_text(trade_data(TRADED, 3)).endswith(
-        "not on the front: better trials did worse in the robustness check"
+        "not on the front: the checks after the search rejected better trials"
     )
 
 

@@ -86,14 +86,18 @@ def trade_text(data: Mapping[str, Any]) -> str:
         lowest = f"{slot_key(end['slot'])} has the lowest {name} cost, {_change(end[name], winner[name])}"
         parts.append(f"{lowest}, and {' and '.join(others)} against the winner")
     if not winner["on_front"]:
-        parts.append("the winner is not on the front: better trials did worse in the robustness check")
+        parts.append("the winner is not on the front: the checks after the search rejected better trials")
     return "; ".join(parts)
 
 
 def _change(value: float, before: float) -> str:
     """'0.283 (-11 %)'."""
-    share = 100.0 * (value / before - 1.0) if before > 0.0 else 0.0
-    return f"{value:.3f} ({share:+.0f} %)"
+    return f"{value:.3f} ({_percent_text(value, before)})"
+
+
+def _percent_text(value: float, before: float) -> str:
+    """'-11 %'; a cost of 0 has no shares."""
+    return f"{100.0 * (value / before - 1.0):+.0f} %" if before > 0.0 else "from 0"
 
 
 def trade_table(data: Mapping[str, Any]) -> list[str]:
@@ -130,5 +134,5 @@ def draw_trade(traded: TradedTrials, data: Mapping[str, Any], path: Path) -> Pat
 
 def _headline(data: Mapping[str, Any]) -> str:
     manual, winner = data["manual"], data["winner"]
-    changes = [f"{name} cost {100.0 * (winner[name] / manual[name] - 1.0):+.0f} %" for name in data["names"]]
+    changes = [f"{name} cost {_percent_text(winner[name], manual[name])}" for name in data["names"]]
     return f"The winner against {manual['name']}: {', '.join(changes)}"

@@ -22,7 +22,6 @@ from tunefree_hil.control.steering_map import SteeringMap, steady_road_wheel_rad
 SPEED_FLOOR_MPS = 3.0  # the correction does not grow below it: nobody turns the wheel to the stop for a few centimetres
 LAG_FLOOR_MPS = 1.0
 CORRECTION_MPS2 = 1.5  # largest lateral acceleration of the correction; anticipation has no such bound
-LEAST_CORRECTION_1PM = 0.02  # at low speed
 # Within a second the heading says how fast the vehicle leaves the path, beyond it the lateral error does: the side-slip
 # of steady cornering is known only roughly, and would be an offset of metres at 20 m/s.
 OBSERVER_RADPS = 1.0
@@ -156,8 +155,6 @@ def correction_1pm(params: DriverSteeringParams, speed_mps: float, lateral_m: fl
     wanted_mps2 = -(radps * radps * lateral_m + 2.0 * params.damping * radps * rate_mps)
     wanted_1pm = wanted_mps2 / (v * v)  # not 0: v is at least SPEED_FLOOR_MPS
     bound_1pm = CORRECTION_MPS2 / (v * v)  # not 0: as above
-    if bound_1pm < LEAST_CORRECTION_1PM:
-        bound_1pm = LEAST_CORRECTION_1PM
     return clamp(wanted_1pm, -bound_1pm, bound_1pm)
 
 
