@@ -111,5 +111,5 @@ def _gaps(records: Sequence[Record]) -> Iterator[str]:
         if not record.claim.is_met:
             yield f"{title_of(record.name)}: {record.claim.text} Our numbers say otherwise; see the section."
     yield "Road tests (Fig. 7, Fig. 9, Table IV): no vehicle; a simulated reference vehicle stands in."
-    yield "The 229 public scenarios and the cloud cluster: the scenarios of this repository on one machine stand in."
+    yield "The 229 public scenarios and the cloud cluster: these parts drive the benches on one machine."
     yield "Fig. 1, 2, 5 and 6 are diagrams of the system, Fig. 12 belongs to planning; they hold no measured values."

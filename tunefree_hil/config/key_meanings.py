@@ -151,9 +151,9 @@ _BENCH: dict[type[Spec], dict[str, str]] = {
         "seed": "draws the roads, 0 to 9999",
     },
     ControllerSpec: {
-        "lateral": "'lqr', or 'path/to/file.py:CONTROLLER' of your own",
-        "longitudinal": "'pid', or 'path/to/file.py:CONTROLLER' of your own",
-        "inner": "'mrac', or 'path/to/file.py:CONTROLLER' of your own",
+        "lateral": "'lqr', 'lqr_preview', 'mpc', or 'path/to/file.py:CONTROLLER' of your own",
+        "longitudinal": "'pid', 'pid_preview', 'mpc', or 'path/to/file.py:CONTROLLER' of your own",
+        "inner": "'mrac', 'mrac_robust', or 'path/to/file.py:CONTROLLER' of your own",
         "riccati": "the gains' equation: solved until it converged, or stopped after 150 rounds as Apollo does",
         "look_ahead_m": "m ahead of the vehicle at which the path is looked at",
         "mrac_order": "order of MRAC's reference model, 1 to 4; from 3 on it includes the steering's dead time",

@@ -275,7 +275,7 @@ def next_integral(
     at_bound = abs(demand_rad) >= steer_bound(params.bound, v)
     if abs(lateral_m) >= INTEGRAL_ERROR_M or v <= INTEGRAL_SPEED_MPS or at_bound:
         return integral_rad
-    gain = plans.gain_at(params.planner.table, abs(v))
+    gain = lerp_table(params.planner.table.nodes, params.planner.table.gains, abs(v))
     change_rad = params.integral_1ps * dt_s * gain * lateral_m
     return clamp(integral_rad - change_rad, -INTEGRAL_LIMIT_RAD, INTEGRAL_LIMIT_RAD)
 

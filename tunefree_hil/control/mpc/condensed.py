@@ -8,7 +8,8 @@ The model is `x(k+1) = A x(k) + B u(k)`, one input, at the tick of the controlle
 The inputs under way are those that the dead time still keeps from acting: the state is first predicted over the dead
 time. The moves are held over one tick or more, longer ones later (move blocking), so that a horizon of a hundred ticks
 has about ten unknowns. The end of the horizon is weighted with the cost to go of the LQR (the solution of the Riccati
-equation), with which the plan without bounds is that of an infinite horizon; or with the weights of the states alone.
+equation); without bounds, without a weight on the rate and with moves of one tick the plan is then that of an infinite
+horizon, else nearly. Or it is weighted with the weights of the states alone.
 """
 
 from __future__ import annotations
@@ -19,10 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tunefree_hil.control import riccati
+
 UNIFORM_MOVES = 10  # a horizon of at most so many steps has a move for each, as Apollo's MPC (docs/reference/apollo.md)
-TAYLOR_TERMS = 12  # of the matrix exponential, after halving to a norm below 0.5: exact to rounding
-DOUBLINGS = 60  # of the Riccati equation; 12 to 20 are needed
-DOUBLING_TOLERANCE = 1e-14
 
 
 class LinearModel(NamedTuple):
@@ -87,34 +87,21 @@ def start_ticks(lengths: Sequence[int]) -> tuple[int, ...]:
 
 def discretise(a: np.ndarray, b: np.ndarray, dt_s: float) -> LinearModel:
     """The model at the tick of x' = a x + b u with the input held: exact at any stiffness, unlike Tustin or Euler."""
+    from scipy.linalg import expm  # here, as only a controller with this part needs it
+
     n = len(a)
-    whole = np.zeros((n + 1, n + 1))
-    whole[:n, :n], whole[:n, n] = a * dt_s, b * dt_s
-    halvings = max(0, int(np.ceil(np.log2(max(float(np.abs(whole).sum(axis=1).max()), 1e-12)))) + 1)
-    whole /= 2.0**halvings
-    term = result = np.eye(n + 1)
-    for k in range(1, TAYLOR_TERMS + 1):
-        term = term @ whole / k
-        result = result + term
-    for _ in range(halvings):
-        result = result @ result
-    return LinearModel(result[:n, :n].copy(), result[:n, n].copy())
+    augmented = np.zeros((n + 1, n + 1))
+    augmented[:n, :n], augmented[:n, n] = a * dt_s, b * dt_s
+    discrete = expm(augmented)
+    return LinearModel(discrete[:n, :n].copy(), discrete[:n, n].copy())
 
 
 def cost_to_go(model: LinearModel, weights: PlanWeights) -> np.ndarray:
-    """The solution P of the discrete algebraic Riccati equation, by structured doubling (see riccati.py)."""
-    a, p = model.a.copy(), np.diag(np.asarray(weights.states, dtype=float))
-    g = np.outer(model.b, model.b) / weights.move
-    eye = np.eye(len(a))
-    for _ in range(DOUBLINGS):
-        inverse = np.linalg.inv(eye + g @ p)
-        step = a.T @ p @ inverse @ a
-        g = g + a @ inverse @ g @ a.T
-        a = a @ inverse @ a
-        p = p + 0.5 * (step + step.T)
-        if float(np.abs(step).max()) <= DOUBLING_TOLERANCE * float(np.abs(p).max()):
-            break
-    return p
+    """The solution P of the discrete algebraic Riccati equation."""
+    n = len(model.b)
+    q = np.diag(np.asarray(weights.states, dtype=float))
+    solution = riccati.gain(model.a.ravel().tolist(), model.b.tolist(), q.ravel().tolist(), weights.move, False)
+    return np.array(solution.p).reshape(n, n)
 
 
 def condense(

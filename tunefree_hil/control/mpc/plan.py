@@ -93,7 +93,7 @@ def next_plan(
     counts = state.counts
     counts = SolveCounts(
         counts.ticks + 1,
-        counts.bounded + (solution.status is not QpStatus.FREE),
+        counts.bounded + (solution.status is QpStatus.SOLVED),
         counts.failed + (not solution.is_solved),
         counts.iterations + solution.iterations,
         max(counts.most_iterations, solution.iterations),
@@ -110,14 +110,6 @@ def program_at(table: QpTable, speed_mps: float, known: np.ndarray) -> tuple[np.
     node, share = _cell(table, speed_mps)
     hessian = (1.0 - share) * table.hessians[node] + share * table.hessians[node + 1]
     return hessian, (1.0 - share) * (table.linears[node] @ known) + share * (table.linears[node + 1] @ known)
-
-
-def gain_at(table: QpTable, speed_mps: float) -> float:
-    """The gain on the first state without bounds, at a speed."""
-    if len(table.nodes) == 1:
-        return table.gains[0]
-    node, share = _cell(table, speed_mps)
-    return (1.0 - share) * table.gains[node] + share * table.gains[node + 1]
 
 
 def _cell(table: QpTable, speed_mps: float) -> tuple[int, float]:

@@ -18,6 +18,7 @@ from tunefree_hil.config.schema import ScenarioSpec
 from tunefree_hil.config.tuning.ensemble_schema import EnsembleSpec
 from tunefree_hil.jobs.identity import compute_identity, data_sha256
 from tunefree_hil.jobs.robustness.cars import make_cars
+from tunefree_hil.jobs.robustness.driving.pack import CODE, describe_code
 from tunefree_hil.jobs.tune.ensemble.cars import EnsembleCars, car_ranges
 from tunefree_hil.roads.sets import PUBLIC
 from tunefree_hil.tune.ensemble import EnsembleCar
@@ -132,6 +133,7 @@ def make_plan(bench: Bench, order: SweepOrder) -> SweepPlan:
     identity = compute_identity(bench, order.model, specs)
     plain_cars = [[car.number, car.variant._asdict(), dict(car.numbers)] for car in cars]
     hashes = {
+        CODE: describe_code(),
         **{name: value for name, value in identity["hashes"].items() if name not in ("bench", "scenarios")},
         "roads": data_sha256([road.hash for road in specs]),
         "cars": data_sha256(plain_cars),

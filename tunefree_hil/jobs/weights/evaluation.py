@@ -27,7 +27,7 @@ from tunefree_hil.tune.weight_regression.cross_validation import Regression
 
 Array = np.ndarray
 
-REGRESSED, PERMUTED = "regressed", "permuted labels"
+REGRESSED = "regressed"
 DIGITS = 4  # significant figures of a weight
 
 

@@ -78,7 +78,6 @@ KAPPA_W = MODEL_CRITERIA.kappa_w
 class SamplerRecord(NamedTuple):
     """What a sampler is and can do.
 
-    waits: It keeps away from parameters that are in flight, or draws a new point of a fixed sequence for each.
     objectives: It searches several objectives at the same time.
     module: The module of the extra `learn` that it needs; '' for none.
     source: Where it is described.
@@ -88,7 +87,6 @@ class SamplerRecord(NamedTuple):
     surrogate: Surrogate
     acquisition: Acquisition
     drawing: Drawing
-    waits: bool
     constraints: ConstraintUse
     objectives: bool
     discrete: DiscreteUse
@@ -104,20 +102,20 @@ _EXACT, _ROUNDED = DiscreteUse.EXACT, DiscreteUse.ROUNDED
 
 # fmt: off
 RECORDS: tuple[SamplerRecord, ...] = (
-    SamplerRecord(GP_EI, _GPR, _EI, _TOGETHER, True, _MODELLED, True, _EXACT, "torch", "arXiv:2310.20708"),
-    SamplerRecord(GP_UCB, _GPR, _UCB, _TOGETHER, True, _RANKED, False, _ROUNDED, "botorch", "arXiv:0912.3995"),
-    SamplerRecord(GP_ME, _GPR, _ME, _TOGETHER, True, _RANKED, False, _ROUNDED, "botorch", "arXiv:2102.03324"),
-    SamplerRecord(TPE_INDEPENDENT, _TPE, _EI, _ALONE, True, _MODELLED, True, _EXACT, "", "arXiv:2304.11127"),
-    SamplerRecord(TPE_RELATIVE, _TPE, _EI, _TOGETHER, True, _MODELLED, True, _EXACT, "", "arXiv:1807.01774"),
-    SamplerRecord(CMA, _NO_MODEL, _NO_ACQUISITION, _TOGETHER, True, _RANKED, False, _ROUNDED, "", "arXiv:1604.00772"),
-    SamplerRecord(TPE_CMA, _TPE, _EI, _TOGETHER, True, _RANKED, False, _ROUNDED, "", "arXiv:1604.00772"),
-    SamplerRecord(TRUST_REGION, _NO_MODEL, _NO_ACQUISITION, _TOGETHER, True, _RANKED, False, _ROUNDED, "",
+    SamplerRecord(GP_EI, _GPR, _EI, _TOGETHER, _MODELLED, True, _EXACT, "torch", "arXiv:2310.20708"),
+    SamplerRecord(GP_UCB, _GPR, _UCB, _TOGETHER, _RANKED, False, _ROUNDED, "botorch", "arXiv:0912.3995"),
+    SamplerRecord(GP_ME, _GPR, _ME, _TOGETHER, _RANKED, False, _ROUNDED, "botorch", "arXiv:2102.03324"),
+    SamplerRecord(TPE_INDEPENDENT, _TPE, _EI, _ALONE, _MODELLED, True, _EXACT, "", "arXiv:2304.11127"),
+    SamplerRecord(TPE_RELATIVE, _TPE, _EI, _TOGETHER, _MODELLED, True, _EXACT, "", "arXiv:1807.01774"),
+    SamplerRecord(CMA, _NO_MODEL, _NO_ACQUISITION, _TOGETHER, _RANKED, False, _ROUNDED, "", "arXiv:1604.00772"),
+    SamplerRecord(TPE_CMA, _TPE, _EI, _TOGETHER, _RANKED, False, _ROUNDED, "", "arXiv:1604.00772"),
+    SamplerRecord(TRUST_REGION, _NO_MODEL, _NO_ACQUISITION, _TOGETHER, _RANKED, False, _ROUNDED, "",
                   "doi:10.5281/zenodo.10655367"),
-    SamplerRecord(NSGA, _NO_MODEL, _NO_ACQUISITION, _TOGETHER, True, _MODELLED, True, _EXACT, "",
+    SamplerRecord(NSGA, _NO_MODEL, _NO_ACQUISITION, _TOGETHER, _MODELLED, True, _EXACT, "",
                   "doi:10.1109/4235.996017"),
-    SamplerRecord(QMC, _NO_MODEL, _NO_ACQUISITION, _TOGETHER, True, _UNUSED, True, _EXACT, "",
+    SamplerRecord(QMC, _NO_MODEL, _NO_ACQUISITION, _TOGETHER, _UNUSED, True, _EXACT, "",
                   "doi:10.1016/0041-5553(67)90144-9"),
-    SamplerRecord(RANDOM, _NO_MODEL, _NO_ACQUISITION, _ALONE, True, _UNUSED, True, _EXACT, "",
+    SamplerRecord(RANDOM, _NO_MODEL, _NO_ACQUISITION, _ALONE, _UNUSED, True, _EXACT, "",
                   "jmlr.org/papers/v13/bergstra12a"),
 )
 # fmt: on

@@ -14,7 +14,8 @@ from tunefree_hil.base.errors import PeerGone
 from tunefree_hil.bench.batch import Job
 from tunefree_hil.jobs.robustness.driving import worker
 from tunefree_hil.jobs.robustness.driving.chunk import chunk_from_data, drive_chunk
-from tunefree_hil.jobs.robustness.driving.worker import CODE, close_rig, drive_task, make_task_order
+from tunefree_hil.jobs.robustness.driving.pack import CODE
+from tunefree_hil.jobs.robustness.driving.worker import close_rig, drive_task, make_task_order
 from tunefree_hil.jobs.robustness.plan import SweepPlan
 
 PLAIN = (dict, list, tuple, str, bytes, int, float, bool, type(None))

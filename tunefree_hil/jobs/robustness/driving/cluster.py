@@ -12,12 +12,13 @@ import re
 import time
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import CancelledError
 from types import ModuleType
 from typing import Any, NamedTuple
 
 from tunefree_hil.base.errors import BenchError, InputError
 from tunefree_hil.jobs.robustness.driving.chunk import FinishedChunk, chunk_from_data
-from tunefree_hil.jobs.robustness.driving.worker import close_rig, drive_task, make_task_order
+from tunefree_hil.jobs.robustness.driving.worker import drive_task, end_order, make_task_order
 from tunefree_hil.jobs.robustness.plan import SweepPlan
 
 SAME_COMMAND = "the same command goes on from the finished drives, with or without --scheduler"
@@ -80,7 +81,7 @@ def drive_on_cluster(plan: SweepPlan, numbers: Iterable[int], address: str) -> I
     try:
         yield from _ClusterChunks(client, task, numbers).drive()
         if client.status == "running":
-            client.run(close_rig, on_error="ignore")  # a worker that has just gone needs no end
+            client.run(end_order, plan.key, on_error="ignore")  # a worker that has just gone needs no end
     finally:
         with contextlib.suppress(OSError, TimeoutError, distributed.comm.CommClosedError):
             client.close(timeout=2.0)
@@ -147,8 +148,8 @@ class _ClusterChunks:
             return None
         try:
             answer = future.result(timeout=CRITERIA.fetch_s)
-        except TimeoutError:
-            return None  # its worker is gone: the scheduler has it driven again
+        except (OSError, CancelledError):  # in time-outs and lost connections
+            return None  # its worker or the scheduler is gone: the next look says which
         number = self._in_flight.pop(future)
         if "error" not in answer:
             return chunk_from_data(answer)

@@ -22,6 +22,7 @@ from tunefree_hil.jobs.identity import FILE_KEYS
 BENCH_FILE = "bench.toml"
 SUFFIXES = (".toml", ".npz", ".json", ".dbc")  # of data; nothing else is packed
 # Folders of the package that decide a drive; the others only read its result.
+CODE = "version or modules of tunefree_hil"  # in the hashes of a sweep
 DRIVING_FOLDERS = ("base", "batch", "bench", "bus", "config", "control", "effects", "episode", "grade", "nodes")
 DRIVING_FOLDERS += ("plant", "roads", "tune", "jobs/robustness", "jobs/tune/ensemble")
 
@@ -72,6 +73,11 @@ def hash_code() -> str:
     for path in sorted(path for folder in DRIVING_FOLDERS for path in (root / folder).rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
+
+
+def describe_code() -> str:
+    """Version and modules that drive, for the hashes of a sweep."""
+    return f"{tunefree_hil.__version__} {hash_code()}"
 
 
 def _read_folder(name: str, folder: Path) -> dict[str, bytes]:

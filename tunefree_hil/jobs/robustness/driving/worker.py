@@ -12,21 +12,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tunefree_hil import __version__
 from tunefree_hil.base.errors import InputError, TunefreeError
 from tunefree_hil.bench import load
 from tunefree_hil.jobs.robustness.driving.chunk import drive_chunk, open_sweep_batch
-from tunefree_hil.jobs.robustness.driving.pack import hash_code, pack_bench, unpack_bench
+from tunefree_hil.jobs.robustness.driving.pack import CODE, describe_code, pack_bench, unpack_bench
 from tunefree_hil.jobs.robustness.plan import SweepPlan, make_plan, order_from_data
-
-CODE = "version or modules of tunefree_hil"  # in the hashes of an order
 
 
 def make_task_order(plan: SweepPlan) -> dict[str, Any]:
     """What a worker needs for the chunks of a plan, as plain data."""
     pack = pack_bench(plan.bench, plan.order.model)
     order = plan.order._replace(model="model")
-    return {"key": plan.key, "hashes": _hash_all(plan), "order": order.as_data(), "pack": dict(pack)}
+    return {"key": plan.key, "hashes": dict(plan.hashes), "order": order.as_data(), "pack": dict(pack)}
 
 
 def drive_task(task: Mapping[str, Any], number: int) -> dict[str, Any]:
@@ -49,12 +46,12 @@ class _Rig:
 
     def __init__(self, task: Mapping[str, Any]) -> None:
         self.key = task["key"]
-        _require_same(task["hashes"], {CODE: _code()})
+        _require_same(task["hashes"], {CODE: describe_code()})
         self._folder = tempfile.TemporaryDirectory(prefix="tunefree-sweep-")
         try:
             bench = load(unpack_bench(task["pack"], Path(self._folder.name)))
             self.plan = make_plan(bench, order_from_data(task["order"]))
-            _require_same(task["hashes"], _hash_all(self.plan))
+            _require_same(task["hashes"], self.plan.hashes)
             self.batch = open_sweep_batch(self.plan)
         except BaseException:
             self._folder.cleanup()
@@ -70,6 +67,16 @@ _LOCK = threading.Lock()  # a batch has one pipe; a worker may have several thre
 _rigs: list[_Rig] = []  # at most one
 
 
+def end_order(key: str) -> None:
+    """End the batch process of an order that is driven to its end; a chunk of another order goes on."""
+    if _LOCK.acquire(blocking=False):  # the event loop of the worker must not wait
+        try:
+            if _rigs and _rigs[0].key == key:
+                close_rig()
+        finally:
+            _LOCK.release()
+
+
 def close_rig() -> None:
     """End the batch process of this worker, if there is one."""
     while _rigs:
@@ -81,14 +88,6 @@ def _open_rig(task: Mapping[str, Any]) -> _Rig:
         close_rig()
         _rigs.append(_Rig(task))
     return _rigs[0]
-
-
-def _code() -> str:
-    return f"{__version__} {hash_code()}"
-
-
-def _hash_all(plan: SweepPlan) -> dict[str, Any]:
-    return {CODE: _code(), **plan.hashes}
 
 
 def _require_same(wanted: Mapping[str, Any], own: Mapping[str, Any]) -> None:
