@@ -15,8 +15,15 @@ from tunefree_hil.jobs.robustness.driving.chunk import drive_chunk
 from tunefree_hil.jobs.robustness.judgement import DriveState
 from tunefree_hil.jobs.robustness.physical_limits import PhysicalExcess, PhysicalLimit
 from tunefree_hil.jobs.robustness.plan import SweepPlan, family_of
-from tunefree_hil.jobs.robustness.result import SweepResult, find_worst_drives, judge_sweep, sweep_data
-from tunefree_hil.jobs.robustness.text import family_table, is_passed, set_table, share_text, sweep_sentence
+from tunefree_hil.jobs.robustness.result import (
+    SweepResult,
+    SweepVerdict,
+    decide_verdict,
+    find_worst_drives,
+    judge_sweep,
+    sweep_data,
+)
+from tunefree_hil.jobs.robustness.text import family_table, set_table, share_text, sweep_sentence
 
 LIMITS = {"lateral_error_peak_m": 0.5, "steer_oscillation_rad": 0.05, "replans": 0.0}
 WINNER = 0.25  # station.kp of the first set
@@ -84,7 +91,7 @@ def test_a_winner_without_a_failure_passes_and_its_nearest_drive_is_shown(tmp_pa
     near = plan.roads[7].spec.name
     result = judged(plan, lambda job: grade(job, lateral_error_peak_m=0.45 if job.scenario.name == near else 0.1))
     [drive] = find_worst_drives(plan, result, 4)
-    assert drive.road == 7 and is_passed(result, 0) and family_table(plan, result) == []
+    assert drive.road == 7 and decide_verdict(result, 0) is SweepVerdict.PASSED and family_table(plan, result) == []
     said = sentence(plan, result)
     assert said.startswith("PASSED: the winner fails on none of 20 roads (95 % interval 0 to 17 %)")
     assert "nearest to a limit" in said and "lateral_error_peak_m 0.45 <= 0.5" in said
@@ -94,7 +101,7 @@ def test_allowed_failures_pass(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, 10)
     bad = {road.spec.name for road in plan.roads[:2]}
     result = judged(plan, lambda job: grade(job, replans=float(job.scenario.name in bad)))
-    assert [is_passed(result, allowed) for allowed in (0, 1, 2)] == [False, False, True]
+    assert [decide_verdict(result, allowed).value for allowed in (0, 1, 2)] == ["FAILED", "FAILED", "PASSED"]
     assert sentence(plan, result, 2).startswith("PASSED: the winner fails on 2 of 10 roads")
 
 

@@ -197,7 +197,7 @@ def lateral_remarks(source: ExportValues) -> list[Remark]:
             for name, value in source.values.items()
             if name.startswith("steer.")
         ]
-    if not is_capped(source):
+    if source.parts.lateral == "lqr" and not is_capped(source):
         remarks.append(Remark(RemarkKind.DIFFERS, "riccati = converged", describe_riccati(source)))
     inertia_kgm2 = source.vehicle.mass_kg * source.vehicle.front_axle_m * source.vehicle.rear_axle_m
     text = f"{source.vehicle.yaw_inertia_kgm2:g} kg m2; Apollo computes it from the wheel masses: {inertia_kgm2:.0f}"

@@ -55,7 +55,11 @@ def remark_on_rest(values: Mapping[str, float], exported: Iterable[str], remarks
     """A remark for every parameter that is in no file and in no remark yet."""
     known = {*exported, *(remark.subject for remark in remarks)}
     return [
-        Remark(RemarkKind.NOT_EXPORTED, name, f"{format_number(value)}; the target's controller has no such parameter")
+        Remark(
+            RemarkKind.NOT_EXPORTED,
+            name,
+            f"{format_number(value)}; the target has no such parameter, or its part is off",
+        )
         for name, value in values.items()
         if name not in known
     ]

@@ -63,7 +63,8 @@ def collect_values(source: Path, set_name: str | None) -> ExportValues:
     """
     choice = _choose_of_bench(source, set_name) if source.is_file() else _choose_of_run(source, set_name)
     bench = choice.bench
-    if bench.spec.controller.command or has_foreign_controller(bench):
+    own_parts = [name for name in part_names(bench) if ":" in name]
+    if bench.spec.controller.command or own_parts or has_foreign_controller(bench):
         raise InputError(
             "the bench has a controller of its own, whose parameters no target knows",
             code="foreign_controller",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from enum import StrEnum
 from typing import Any, NamedTuple
 
 from tunefree_hil.grade.requirements.limits import RequirementLimits
@@ -16,6 +17,13 @@ from tunefree_hil.jobs.robustness.judgement import DriveJudgement, DriveState, j
 from tunefree_hil.jobs.robustness.physical_limits import PhysicalExcess, ability_of, find_physical_excesses
 from tunefree_hil.jobs.robustness.plan import SweepDrive, SweepPlan
 from tunefree_hil.tune.failure_share import FailureShare, compute_failure_share
+
+
+class SweepVerdict(StrEnum):
+    """What a sweep says of the winner; first word of its sentence, and "verdict" of its result."""
+
+    PASSED = "PASSED"
+    FAILED = "FAILED"
 
 
 class CarOnRoad(NamedTuple):
@@ -100,6 +108,12 @@ def judge_sweep(plan: SweepPlan, rows: Iterable[DriveRow], limits: RequirementLi
     counted = {drive: one for drive, one in judgements.items() if CarOnRoad(drive.road, drive.car) not in undrivable}
     sets = {name: _sum_up(counted, vector) for vector, name in enumerate(plan.names)}
     return SweepResult(sets, judgements, undrivable, tuple(pair for pair, reason in reasons.items() if not reason))
+
+
+def decide_verdict(result: SweepResult, allowed: int) -> SweepVerdict:
+    """PASSED where the winner drives roads, and fails on no more of them than are allowed."""
+    roads = result.winner.roads
+    return SweepVerdict.PASSED if roads.n > 0 and roads.failed <= allowed else SweepVerdict.FAILED
 
 
 def share_of_states(states: Iterable[DriveState]) -> FailureShare:

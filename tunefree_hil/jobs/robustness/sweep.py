@@ -31,13 +31,17 @@ from tunefree_hil.jobs.robustness.plan import (
     has_known_shapes,
     make_plan,
 )
-from tunefree_hil.jobs.robustness.result import drive_data, find_worst_drives, judge_sweep, sweep_data
+from tunefree_hil.jobs.robustness.result import (
+    SweepVerdict,
+    decide_verdict,
+    drive_data,
+    find_worst_drives,
+    judge_sweep,
+    sweep_data,
+)
 from tunefree_hil.jobs.robustness.text import (
-    FAILED,
-    PASSED,
     drive_text,
     family_table,
-    is_passed,
     plan_text,
     set_table,
     sweep_sentence,
@@ -184,12 +188,11 @@ def _report(sweep: Sweep, file: DriveFile) -> Generator[Event, None, Event]:
         worst_data.append(drive_data(plan, result, road.drive))
         yield Event("note", f"picture of a drive that was made again: {road.figure}")
     sentence = sweep_sentence(plan, result, worst, options.allowed)
-    is_good = is_passed(result, options.allowed)
-    data = {"verdict": PASSED if is_good else FAILED, "allowed": options.allowed, **sweep_data(plan, result)}
+    verdict = decide_verdict(result, options.allowed)
+    data = {"verdict": verdict.value, "allowed": options.allowed, **sweep_data(plan, result)}
     data |= {"worst": worst_data, "sentence": sentence}
     write_json(out / RESULT, {"schema": SCHEMA, **data})
     sweep.run.finish()
-    for entry, command in zip(worst_data, commands, strict=True):
-        entry["command"] = command
-    more = {"run": str(options.run), "out": str(out), "figures": figures, "next": commands[:1]}
-    return Event("result", sentence, {**data, **more, "exit": 0 if is_good else EXIT_FAILED})
+    replayed = [{**entry, "command": command} for entry, command in zip(worst_data, commands, strict=True)]
+    more = {"worst": replayed, "run": str(options.run), "out": str(out), "figures": figures, "next": commands[:1]}
+    return Event("result", sentence, {**data, **more, "exit": EXIT_FAILED if verdict is SweepVerdict.FAILED else 0})

@@ -9,10 +9,9 @@ from tunefree_hil.grade.requirements.judgement import result_text
 from tunefree_hil.jobs.robustness.judgement import OSCILLATION, REPLAN, REQUIREMENT, DriveJudgement, DriveState
 from tunefree_hil.jobs.robustness.physical_limits import PhysicalExcess
 from tunefree_hil.jobs.robustness.plan import SweepDrive, SweepPlan
-from tunefree_hil.jobs.robustness.result import CarOnRoad, SweepResult, family_shares
+from tunefree_hil.jobs.robustness.result import CarOnRoad, SweepResult, decide_verdict, family_shares
 from tunefree_hil.tune.failure_share import FailureShare
 
-PASSED, FAILED = "PASSED", "FAILED"  # first word of the sentence, and "verdict" of the result
 HEAD = ("", "failed roads", "95 % interval", "stability lost", "requirement missed", "nominal car", "other cars")
 MAX_FAMILIES = 3  # named in a sentence
 
@@ -35,7 +34,7 @@ def share_text(share: FailureShare) -> str:
 def sweep_sentence(plan: SweepPlan, result: SweepResult, worst: Sequence[SweepDrive], allowed: int) -> str:
     """The verdict in one sentence."""
     winner = result.winner
-    word = PASSED if is_passed(result, allowed) else FAILED
+    word = decide_verdict(result, allowed).value
     parts = [f"{word}: the winner fails on {share_text(winner.roads)}"]
     if winner.roads.failed:
         lost, missed = winner.count(DriveState.STABILITY_LOST), winner.count(DriveState.REQUIREMENT_MISSED)
@@ -61,11 +60,6 @@ def drive_text(drive: SweepDrive, judgement: DriveJudgement) -> str:
     if by_value and judgement.binding is not None:
         return f"{car}, {result_text(judgement.binding)}"
     return f"{car}, {'re-planned' if judgement.cause == REPLAN else judgement.cause.replace('_', ' ')}"
-
-
-def is_passed(result: SweepResult, allowed: int) -> bool:
-    """Whether the winner fails on no more roads than are allowed, and drives any."""
-    return result.winner.roads.n > 0 and result.winner.roads.failed <= allowed
 
 
 def undrivable_text(plan: SweepPlan, undrivable: Mapping[CarOnRoad, list[PhysicalExcess]]) -> str:

@@ -14,7 +14,8 @@ from tunefree_hil.grade.weight_regression.pairs import find_reversed_pairs
 from tunefree_hil.grade.weight_regression.ranking import CRITERIA, AccuracyInterval
 from tunefree_hil.jobs.weights.evaluation import ALL, REGRESSED, RankedPairs, RefusalReason, RegressionEvaluation
 
-MARK = "# Regressed by `tunefree-hil weights` from pairs of human and generated drives (eq. 10)."
+MARK = "# tunefree.regressed_weights/1"  # first line of a file that may be overwritten
+ORIGIN = "# Regressed by `tunefree-hil weights` from pairs of human and generated drives (eq. 10)."
 REASONS = {
     RefusalReason.FEW_PAIRS: "there are fewer pairs than weights",
     RefusalReason.CONTRADICTION: "pairs contradict each other",
@@ -27,7 +28,7 @@ def weights_file_text(name: str, base: WeightsSpec, metrics: Mapping[str, float]
     fields = {key: value for key, value in plain(base).items() if key not in ("path", "name", "description", "metrics")}
     description = f"Regressed from {provenance['n_pairs']} pairs, from weights {base.name}"
     data = {"schema": fields.pop("schema"), "name": name, "description": description, **fields}
-    comments = [MARK, *(f"# {key} = {value}" for key, value in provenance.items())]
+    comments = [MARK, ORIGIN, *(f"# {key} = {value}" for key, value in provenance.items())]
     return "\n".join(comments) + "\n" + to_toml({**data, "metrics": dict(metrics)})
 
 
